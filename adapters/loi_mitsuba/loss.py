@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import importlib
 from collections.abc import Callable
-from typing import Any, Final, Literal, TypeAlias, get_args
+from typing import Any, Final, Literal, TypeAlias, cast, get_args
 
 import drjit as dr
 import mitsuba as mi
@@ -179,16 +179,15 @@ def _check_tensor(image: object) -> None:
 def _check_backend(backend: object) -> Backend:
     if backend is None:
         return _default_backend()
-    for name in get_args(Backend):
-        if isinstance(backend, str) and backend == name:
-            try:
-                importlib.import_module(name)
-            except ImportError as error:
-                msg = f"`backend` is {name!r}, which cannot be imported ({error}); {how_to_install(name)}"
-                raise BackendMissingError(msg) from None
-            return name  # type: ignore[no-any-return]  # one of the literals
-    msg = f"`backend` must be one of {', '.join(map(repr, get_args(Backend)))} or None, got {shown(backend)}"
-    raise OptionError(msg)
+    if not isinstance(backend, str) or backend not in get_args(Backend):
+        msg = f"`backend` must be one of {', '.join(map(repr, get_args(Backend)))} or None, got {shown(backend)}"
+        raise OptionError(msg)
+    try:
+        importlib.import_module(backend)
+    except ImportError as error:
+        msg = f"`backend` is {backend!r}, which cannot be imported ({error}); {how_to_install(backend)}"
+        raise BackendMissingError(msg) from None
+    return cast("Backend", backend)
 
 
 def _default_backend() -> Backend:

@@ -12,9 +12,10 @@ import numpy as np
 
 from loi_mitsuba.renderer import MitsubaRenderer
 from loi_mitsuba.scene.load import LoadedScene, ParameterTarget
-from loi_mitsuba.scene.parameters import SceneIndex, ancestors
+from loi_mitsuba.scene.parameters import SceneIndex
 from loi_mitsuba.scene.poses import Translate
 from mitsuba_boundaries.drjit.arrays import Float32Array
+from mitsuba_boundaries.parameter_names import ancestors
 from mitsuba_boundaries.proxy.light_size import DELTA_LIGHTS, delta_lights
 from mitsuba_boundaries.proxy.substitutions import LIGHT_ID, Substitution
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Mapping
 from copy import copy
 from pathlib import Path
-from typing import Any, Final
+from typing import Any
 
 import drjit as dr
 import mitsuba as mi
@@ -24,20 +24,23 @@ from loi_mitsuba.scene.load import (
     checked_samples,
     checked_targets,
     find_sensor,
-    max_samples,
     one_line,
     use_variant,
 )
 from loi_mitsuba.scene.parameters import Scene, SceneIndex, index_scene
-from loi_mitsuba.scene.safety import SceneLoadError, check_description
-from loi_mitsuba.scene.settings import GRADIENT_TERMS, integrator_of, omits_edges, settings_of, with_sampled_border
+from loi_mitsuba.scene.settings import (
+    GRADIENT_TERMS,
+    SCENE_INTEGRATOR,
+    omits_edges,
+    settings_of,
+    with_sampled_border,
+)
 from mitsuba_boundaries.drjit.arrays import Float32Array
 from mitsuba_boundaries.gradient import ImageGradient
+from mitsuba_boundaries.scene_checks import UnsafeSceneError, check_scene
+from mitsuba_boundaries.sensing.film import max_samples
 
 __all__ = ["MitsubaRenderer", "split_seed"]
-
-
-SCENE_INTEGRATOR: Final = "scene"
 
 
 @suggest_keywords
@@ -238,7 +241,9 @@ class MitsubaRenderer:
         self._check_variant()
         cotangent = np.ascontiguousarray(cotangent, dtype=np.float32)
         with self._binding.attached(params, self._wrt) as leaves:
-            self._gradient.vjp(self._integrator, cotangent, seed=split_seed(seed)[1], **self._gradient_options)
+            self._gradient.vjp(
+                self._integrator, cotangent, seed=split_seed(seed)[1], spp=self._spp_grad, excluded=self._excluded
+            )
             return gradient | self._binding.gradients(leaves, self._wrt)
 
     def jvp(self, params: Mapping[str, Any], tangent: Mapping[str, Any], *, seed: int = 0) -> Float32Array:
@@ -254,11 +259,9 @@ class MitsubaRenderer:
                 dr.enqueue(dr.ADMode.Forward, leaves[name])
             # Propagate to the scene's entries now, because Mitsuba's loops traverse no further back than these.
             dr.traverse(dr.ADMode.Forward, dr.ADFlag.ClearEdges)
-            return self._gradient.jvp(self._integrator, seed=split_seed(seed)[1], **self._gradient_options)
-
-    @property
-    def _gradient_options(self) -> dict[str, Any]:
-        return {"spp": self._spp_grad, "excluded": self._excluded}
+            return self._gradient.jvp(
+                self._integrator, seed=split_seed(seed)[1], spp=self._spp_grad, excluded=self._excluded
+            )
 
     def _set_wrt(self, wrt: Iterable[str], excluded: frozenset[str] | None = None) -> None:
         """Set the parameters to differentiate with respect to and, if given, the excluded terms."""
@@ -278,7 +281,8 @@ class MitsubaRenderer:
             for name in GRADIENT_TERMS:
                 if getattr(settings, name) > 0:
                     checked_samples(name, getattr(settings, name), max_count)
-            self._integrator, self._spp_grad = integrator_of(settings, self._scene)
+            self._integrator = self._scene.integrator() if settings.integrator == SCENE_INTEGRATOR else settings.load()
+            self._spp_grad = 0 if settings.projective else settings.sppc  # 0 keeps the integrator's own counts
             return
         self._integrator = _load_integrator(self._scene, integrator)
         self._spp_grad = _gradient_samples(self._integrator, self._spp, spp_grad, max_count)
@@ -319,9 +323,9 @@ def _load_integrator(scene: Any, integrator: Any) -> Any:
         integrator = scene.integrator()
     if isinstance(integrator, dict):
         try:
-            check_description(integrator)
+            check_scene(integrator)
             integrator = mi.load_dict(integrator)
-        except (RuntimeError, SceneLoadError) as error:
+        except (RuntimeError, UnsafeSceneError) as error:
             msg = f"`integrator` cannot be loaded: {one_line(error)}"
             raise OptionError(msg) from None
     if not isinstance(integrator, mi.Integrator):

@@ -24,6 +24,7 @@ __all__ = [
     "INSTANCE_PROBLEM",
     "Diagnosis",
     "diagnoses_of_moving_shapes",
+    "has_medium",
     "is_delta_input",
     "is_instance",
     "is_non_manifold",
@@ -250,6 +251,14 @@ def is_delta_input(material: Any, attribute: str) -> bool:
 def is_instance(node: Any) -> bool:
     """Return whether an object is an instance of a shapegroup."""
     return isinstance(node, mi.Shape) and node.class_name() == "Instance"
+
+
+def has_medium(scene: Any) -> bool:
+    """Return whether there is a participating medium within or around a shape, or around a sensor."""
+    media = (medium for shape in scene.shapes() for medium in (shape.interior_medium(), shape.exterior_medium()))
+    return any(medium is not None for medium in media) or any(
+        isinstance(record[2], mi.Medium) for record in mi.traverse(scene).properties.values()
+    )
 
 
 def _ids(shapes: Sequence[Any], condition: Callable[[Any], bool]) -> list[str]:

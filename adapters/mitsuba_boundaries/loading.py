@@ -10,7 +10,7 @@ from typing import Any
 import drjit as dr
 import mitsuba as mi
 
-__all__ = ["file_search_path", "load_unmerged", "parsed_scene"]
+__all__ = ["file_search_path", "load_unmerged", "parsed_scene", "with_sampled_borders"]
 
 
 def load_unmerged(scene: dict[str, Any] | str | Path, *, float_textures: bool = False) -> Any:
@@ -67,6 +67,21 @@ def file_search_path(folders: Iterable[Path], *, extend: bool = False) -> Iterat
         yield
     finally:
         mi.set_file_resolver(previous)
+
+
+def with_sampled_borders(scene: dict[str, Any]) -> dict[str, Any]:
+    """Return a scene's dict whose films sample their borders, which boundary terms of shapes that cross it need.
+
+    The film of a scene that is loaded cannot be changed.
+    """
+    return {key: _with_sampled_border(value) if isinstance(value, dict) else value for key, value in scene.items()}
+
+
+def _with_sampled_border(sensor: dict[str, Any]) -> dict[str, Any]:
+    return {
+        key: {"sample_border": True, **value} if isinstance(value, dict) and "film" in str(value.get("type")) else value
+        for key, value in sensor.items()
+    }
 
 
 def _copied_description(description: dict[str, Any]) -> dict[str, Any]:

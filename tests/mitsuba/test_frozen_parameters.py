@@ -14,10 +14,9 @@ import pytest
 from examples.effects.scenes import SUITE
 from loi_core import PixelL2, fit
 from loi_mitsuba import PlannedRenderer, Rotate, Translate
-from loi_mitsuba.effects.traits import traits_of
+from loi_mitsuba.effects.traits import group_by_shape, traits_of
 from loi_mitsuba.scene.load import load_scene
 from loi_mitsuba.scene.parameters import SceneIndex
-from loi_mitsuba.scene.queries import group_by_shape
 from tests.helpers import Host
 from tests.mitsuba.scenes import shadow_scene
 

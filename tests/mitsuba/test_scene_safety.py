@@ -16,7 +16,7 @@ from loi_core.cli import main
 from loi_core.errors import OptionError
 from loi_core.io.images import write_png
 from loi_mitsuba import MitsubaRenderer, SceneLoadError, Translate
-from loi_mitsuba.scene.safety import LIBRARY_SUFFIXES
+from mitsuba_boundaries.scene_checks import LIBRARY_SUFFIXES
 
 FILM = '<film type="hdrfilm"><integer name="width" value="8"/><integer name="height" value="8"/></film>'
 BALL = '<shape type="sphere" id="ball"/>'

@@ -11,12 +11,12 @@ import numpy as np
 
 from loi_core.effects import Draws, Frozen
 from loi_core.effects.frozen import CLEAR_ERRORS
+from loi_mitsuba.effects.traits import group_by_shape
 from loi_mitsuba.renderer import MitsubaRenderer, split_seed
 from loi_mitsuba.scene.binding import ParameterBinding
 from loi_mitsuba.scene.load import ParameterTarget
 from loi_mitsuba.scene.parameters import SceneIndex
 from loi_mitsuba.scene.poses import Rotate, Scale
-from loi_mitsuba.scene.queries import group_by_shape, has_medium
 from loi_mitsuba.scene.settings import Settings
 from mitsuba_boundaries.attached.dielectrics import AttachedDielectrics, is_attachable_glass
 from mitsuba_boundaries.attached.emitters import (
@@ -27,6 +27,7 @@ from mitsuba_boundaries.attached.emitters import (
     translation_step,
     visible_points,
 )
+from mitsuba_boundaries.diagnostics import has_medium
 from mitsuba_boundaries.drjit.arrays import Float32Array, Float64Array
 from mitsuba_boundaries.geometry.bounds import bounding_box
 from mitsuba_boundaries.proxy.light_size import light_position
@@ -155,7 +156,8 @@ class AttachedGradient:
         gradient: dict[str, Float32Array] = {}
         if lights:
             gradient |= self._emitters.vjp(params, cotangent, names=lights, seed=gradient_seed)
-            visible = [name for name in lights if self._may_be_visible(self._parameters.lights[name])]
+            frustum, shapes = Frustum(self._renderer.sensor), self._parameters.lights
+            visible = [name for name in lights if isinstance(shapes[name], mi.Shape) and frustum.overlaps(shapes[name])]
             if visible:
                 renderer = self._renderer.with_integrator(self._silhouette.load(), wrt=visible)
                 silhouettes = renderer.vjp(params, cotangent, seed=seed)
@@ -163,9 +165,6 @@ class AttachedGradient:
         if glass:
             gradient |= self._dielectrics.vjp(params, cotangent, names=glass, seed=gradient_seed)
         return gradient
-
-    def _may_be_visible(self, light: Any) -> bool:
-        return isinstance(light, mi.Shape) and Frustum(self._renderer.sensor).overlaps(light)
 
     def vanishing(
         self, params: Mapping[str, Any], cotangent: Any, *, names: Sequence[str], seed: int = 0

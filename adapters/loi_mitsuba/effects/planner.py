@@ -18,10 +18,9 @@ from loi_mitsuba.effects.gradient_draws import PILOT_SEED_OFFSET, GradientProbe
 from loi_mitsuba.effects.pilot import MAX_DRAWS, Pilot
 from loi_mitsuba.effects.rules import plan_by_rules, plan_with
 from loi_mitsuba.effects.setup import PlanSetup
-from loi_mitsuba.effects.traits import Traits, group_by_unit, traits_of
+from loi_mitsuba.effects.traits import Traits, group_by_shape, group_by_unit, traits_of
 from loi_mitsuba.renderer import MitsubaRenderer
 from loi_mitsuba.scene.load import ParameterTarget
-from loi_mitsuba.scene.queries import group_by_shape
 from loi_mitsuba.scene.settings import settings_of
 from mitsuba_boundaries.drjit.arrays import Float32Array
 from mitsuba_boundaries.sensing.frustum import Frustum
@@ -44,8 +43,6 @@ class PlanState:
         Parameters whose gradient is of attached samples, if they are not blurred.
     names : tuple of str
         Optimised parameters whose gradient is Mitsuba's.
-    groups : tuple of tuple of str
-        The parameters in `names`, in groups of one unit.
     traits : Traits
     pilot : Pilot
     rules, plan : EffectPlan
@@ -71,7 +68,6 @@ class PlanState:
     optimised: tuple[str, ...]
     attached: frozenset[str]
     names: tuple[str, ...]
-    groups: tuple[tuple[str, ...], ...]
     traits: Traits
     pilot: Pilot
     rules: EffectPlan
@@ -84,11 +80,6 @@ class PlanState:
     in_view: frozenset[str] = frozenset()
     hidden: Mapping[str, Any] = field(default_factory=dict)
     started: bool = False
-
-    def without_hidden(self, names: Iterable[str]) -> PlanState:
-        """Return the state that no longer looks for the shapes of these parameters."""
-        found = frozenset(names)
-        return replace(self, hidden={name: shape for name, shape in self.hidden.items() if name not in found})
 
 
 @dataclass(frozen=True)
@@ -280,7 +271,8 @@ class Planner:
         if not released:
             return state
         blurred = {name: reason for name, reason in state.plan.blurred.items() if name not in released}
-        return self._piloted(self._restarted(state.without_hidden(released), blurred, when), point, released)
+        hidden = {name: shape for name, shape in state.hidden.items() if name not in released}
+        return self._piloted(self._restarted(replace(state, hidden=hidden), blurred, when), point, released)
 
     def _hiding(self, state: PlanState, shapes: Mapping[str, Any], point: GradientProbe) -> PlanState:
         """Remember shapes that are out of view, to look for them in later steps."""
@@ -340,7 +332,7 @@ class Planner:
         targets = {
             name: target for name, target in self.base.targets.items() if name in optimised and name not in excluded
         }
-        names, groups = tuple(targets), group_by_unit(targets)
+        names = tuple(targets)
         traits = replace(self._traits_of(targets), attached=attached_reasons, blurred=unsupported)
         rules = plan_by_rules(traits, self.samples)
         renderer = self.base.with_integrator(rules, wrt=names)
@@ -352,9 +344,10 @@ class Planner:
             blurred_renderer = self._blurring(renderer).over(unsupported)
         return {
             "names": names,
-            "groups": groups,
             "traits": traits,
-            "pilot": Pilot(traits, self.samples, self.fraction, groups, group_by_shape(names, traits.moving)),
+            "pilot": Pilot(
+                traits, self.samples, self.fraction, group_by_unit(targets), group_by_shape(names, traits.moving)
+            ),
             "rules": rules,
             "plan": rules,
             "renderer": renderer,

@@ -167,7 +167,7 @@ class PlannedRenderer:
     @property
     def groups(self) -> tuple[tuple[str, ...], ...]:
         """The optimised parameters whose gradient is Mitsuba's, in groups of one unit."""
-        return self._state.groups
+        return self._state.pilot.units
 
     @property
     def targets(self) -> dict[str, ParameterTarget]:
@@ -320,7 +320,7 @@ class PlannedRenderer:
             self.unabridged,
             objective,
             self.parameters() if params is None else dict(params),
-            state.groups,
+            state.pilot.units,
             draws=draws,
             seed=seed,
         )

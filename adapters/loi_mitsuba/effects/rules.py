@@ -43,19 +43,13 @@ def plan_by_rules(traits: Traits, samples: int) -> EffectPlan:
     full = everything(traits, samples)
     if traits.unknown:
         reason = "not known to the rules: " + ", ".join(traits.unknown)
-        notes = (f"everything is on, because the rules do not know {', '.join(traits.unknown)}", *_notes(traits))
-        choices = [_choice(effect, effect is not Effect.CAMERA, reason, full) for effect in Effect]
-        choices[list(Effect).index(Effect.CAMERA)] = Choice(Effect.CAMERA, on=False, reason=CAMERA_REASON)
-        return EffectPlan(
-            tuple(choices),
-            full.to_mapping(),
-            _setting_reasons(traits, full),
-            substitutions=traits.substitutions,
-            attached=traits.attached,
-            blurred=traits.blurred,
-            notes=notes,
-            understood=False,
-        )
+        plan = plan_of(traits, full)
+        note = f"everything is on, because the rules do not know {', '.join(traits.unknown)}"
+        choices = [
+            choice if choice.effect is Effect.CAMERA else _choice(choice.effect, True, reason, full)  # noqa: FBT003
+            for choice in plan.choices
+        ]
+        return replace(plan, choices=tuple(choices), notes=(note, *plan.notes), understood=False)
     depth = min(traits.depth, DIRECT_DEPTH) if traits.is_single_convex_shape else traits.depth
     edges = bool(traits.moving) and full.projective
     indirect = edges and not (traits.is_single_convex_shape and depth <= DIRECT_DEPTH)

@@ -23,13 +23,14 @@ from loi_mitsuba.scene.load import (
     checked_samples,
     checked_targets,
     find_sensor,
-    max_samples,
     use_variant,
 )
-from loi_mitsuba.scene.parameters import SceneIndex, ancestors, index_scene
+from loi_mitsuba.scene.parameters import SceneIndex, index_scene
 from loi_mitsuba.scene.settings import with_sampled_border
+from mitsuba_boundaries.parameter_names import ancestors
 from mitsuba_boundaries.proxy.scene import ProxySettings, build_proxy_scene, has_delta_bsdf
 from mitsuba_boundaries.proxy.substitutions import Substitution
+from mitsuba_boundaries.sensing.film import max_samples
 
 __all__ = ["PlanSetup", "prepare_renderer"]
 
@@ -121,16 +122,7 @@ def _renderer_with_proxy(
     proxy: ProxySettings,
     options: Mapping[str, Any],
 ) -> tuple[MitsubaRenderer, Mapping[str, str], bool]:
-    """Return the renderer of a scene, with a proxy scene if moving shapes need one.
-
-    Returns
-    -------
-    renderer : MitsubaRenderer
-    substitutions : dict of str
-        Reason for each object that the proxy replaces.
-    has_delta_bsdf : bool
-        Whether the gradient of moving shapes sees perfectly smooth surfaces.
-    """
+    """Return the first three fields of :class:`PlanSetup`."""
     if traits.moving and not traits.has_medium:
         # A parameter of a smooth surface may not exist in the rough one that replaces it.
         for settings in (proxy, replace(proxy, mirrors=0.0)):

@@ -3,19 +3,20 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from typing import Any, Final
 
 import mitsuba as mi
 import numpy as np
 
-from loi_mitsuba.scene.parameters import SceneIndex, ancestors
+from loi_mitsuba.scene.parameters import SceneIndex
 from loi_mitsuba.scene.poses import PoseParameter, Translate
-from loi_mitsuba.scene.queries import has_medium
+from mitsuba_boundaries.diagnostics import has_medium
 from mitsuba_boundaries.geometry.bounds import bounding_box
+from mitsuba_boundaries.parameter_names import ancestors
 
-__all__ = ["VOLUME_INTEGRATORS", "Traits", "group_by_unit", "is_known", "kind_of", "traits_of"]
+__all__ = ["VOLUME_INTEGRATORS", "Traits", "group_by_shape", "group_by_unit", "is_known", "kind_of", "traits_of"]
 
 CONVEX_SHAPES: Final = ("Sphere", "Rectangle", "Disk", "Cube")
 KNOWN_SHAPES: Final = (*CONVEX_SHAPES, "Cylinder", "BSplineCurve", "LinearCurve")  # and all meshes
@@ -116,12 +117,8 @@ def traits_of(index: SceneIndex, targets: Mapping[str, str | PoseParameter], sen
         else:
             unknown.append(f"parameter {name!r}, of a {node.class_name()}")
     shapes = scene.shapes()
-    first_by_class = {shape.class_name(): shape for shape in shapes}
-    unknown += [
-        f"a shape of kind {class_name}"
-        for class_name, shape in first_by_class.items()
-        if not isinstance(shape, mi.Mesh) and class_name not in KNOWN_SHAPES
-    ]
+    classes = dict.fromkeys(shape.class_name() for shape in shapes if not isinstance(shape, mi.Mesh))
+    unknown += [f"a shape of kind {class_name}" for class_name in classes if class_name not in KNOWN_SHAPES]
     integrator = scene.integrator()
     integrator_kind = kind_of(integrator)
     if not is_known(integrator_kind):
@@ -168,6 +165,21 @@ def group_by_unit(targets: Mapping[str, str | PoseParameter]) -> tuple[tuple[str
     translations = tuple(name for name, target in targets.items() if isinstance(target, Translate))
     singles = tuple((name,) for name in targets if name not in translations)
     return ((translations,) if translations else ()) + singles
+
+
+def group_by_shape(names: Iterable[str], moving: Mapping[str, Any]) -> tuple[tuple[str, ...], ...]:
+    """Group parameters that move the same shape; a parameter that moves none is alone.
+
+    Parameters
+    ----------
+    names : iterable of str
+    moving : dict of mi.Shape
+        The shape that each parameter moves.
+    """
+    groups: dict[object, list[str]] = {}
+    for name in names:
+        groups.setdefault(moving.get(name, name), []).append(name)
+    return tuple(map(tuple, groups.values()))
 
 
 def _category(params: Any, key: str) -> tuple[str, Any]:

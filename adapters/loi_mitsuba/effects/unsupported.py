@@ -9,8 +9,7 @@ from loi_mitsuba.diagnostics import unsupported_parameter
 from loi_mitsuba.effects.traits import is_known, kind_of
 from loi_mitsuba.scene.load import ParameterTarget
 from loi_mitsuba.scene.parameters import SceneIndex
-from loi_mitsuba.scene.queries import has_medium
-from mitsuba_boundaries.diagnostics import unsupported_motion
+from mitsuba_boundaries.diagnostics import has_medium, unsupported_motion
 
 __all__ = ["unsupported_parameters"]
 

@@ -17,9 +17,9 @@ from loi_core.renderers.validation import check_floats, check_parameters
 from loi_mitsuba.scene.load import ParameterTarget
 from loi_mitsuba.scene.parameters import SceneIndex, matrix_or_value
 from loi_mitsuba.scene.poses import Scale, combined_transform
-from mitsuba_boundaries.drjit.arrays import Float32Array, aligned_copy, gather, unravel
+from mitsuba_boundaries.drjit.arrays import Float32Array, aligned_copy, as_host, converted
 
-__all__ = ["ParameterBinding", "as_host", "host_numbers"]
+__all__ = ["ParameterBinding", "host_numbers"]
 
 NORMALS: Final = "vertex_normals"
 NORMAL_TOLERANCE: Final = 1e-3  # between unit normals that are equal up to rounding
@@ -153,7 +153,7 @@ class ParameterBinding:
         """Set all parameters in the scene, or those in `names` with the other handles of their shapes."""
         for name, key in self._keys.items():
             if names is None or name in names:
-                self.entries[key] = _like(self.entries[key], leaves[name], self.start[name].shape)
+                self.entries[key] = converted(self.entries[key], leaves[name], self.start[name].shape)
         for posed in self._posed:
             if names is not None and not any(name in names for name in posed.names):
                 continue
@@ -215,21 +215,3 @@ def host_numbers(name: str, value: Any, shape: tuple[int, ...]) -> Float32Array:
         single = check_floats(name, value, shape).astype(np.float32, order="C")
     check_floats(name, single, shape)
     return single
-
-
-def as_host(value: Any, shape: tuple[int, ...]) -> Float32Array:
-    """Return an array of Dr.Jit as float32 of `shape`, in C order."""
-    return np.array(value, dtype=np.float32, order="C").reshape(shape)
-
-
-def _like(current: Any, flat: Any, shape: tuple[int, ...]) -> Any:
-    """Return the flat array `flat`, in C order of `shape`, as a value of the type of `current`."""
-    if isinstance(current, float):
-        return float(flat[0])
-    if dr.is_tensor_v(current):
-        return type(current)(flat, shape=shape)
-    if isinstance(current, mi.Transform4f):
-        # Gathered: an element of a flat array, such as `flat[3]`, is a plain number without a gradient.
-        rows = [[gather(flat, 4 * row + column) for column in range(4)] for row in range(4)]
-        return mi.Transform4f(mi.Matrix4f(rows))
-    return type(current)(flat) if dr.depth_v(current) == 1 else unravel(type(current), flat)

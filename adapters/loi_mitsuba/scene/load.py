@@ -8,12 +8,12 @@ from typing import Any, Final
 
 import mitsuba as mi
 
-from loi_core.errors import OptionError, ParameterError
+from loi_core.errors import LoiError, OptionError, ParameterError
 from loi_core.renderers.poses import ParameterTarget, Rotate, parse_targets
 from loi_core.support.values import whole_number
-from loi_core.support.wording import shown
-from loi_mitsuba.scene.safety import SceneLoadError, check_description, check_scene_file
+from loi_core.support.wording import printable, shown
 from mitsuba_boundaries.loading import load_unmerged
+from mitsuba_boundaries.scene_checks import UnsafeSceneError, check_scene
 
 __all__ = [
     "LoadedScene",
@@ -23,13 +23,16 @@ __all__ = [
     "checked_targets",
     "find_sensor",
     "load_scene",
-    "max_samples",
     "one_line",
     "use_variant",
 ]
 
 VARIANTS: Final = ("cuda_ad_rgb", "llvm_ad_rgb")
-MAX_IMAGE_SAMPLES: Final = 2**32 - 1  # Mitsuba counts the samples of an image in 32 bits
+MAX_MESSAGE_LENGTH: Final = 1000
+
+
+class SceneLoadError(LoiError, ValueError):
+    """A scene that Mitsuba cannot load, or that names a plugin which is not Mitsuba's own."""
 
 
 def use_variant() -> str:
@@ -85,16 +88,14 @@ def load_scene(scene: Any, *, float_textures: bool = False) -> LoadedScene:
         return scene
     if isinstance(scene, mi.Scene):
         return LoadedScene(scene, in_order=False)
-    if isinstance(scene, dict):
-        check_description(scene)
-    elif isinstance(scene, str | Path):
-        check_scene_file(Path(scene))
-    try:
-        is_source = isinstance(scene, dict | str | Path)
-        loaded = load_unmerged(scene, float_textures=float_textures) if is_source else scene
-    except RuntimeError as error:
-        msg = f"`scene` cannot be loaded: {one_line(error)}"
-        raise SceneLoadError(msg) from None
+    loaded = scene
+    if isinstance(scene, dict | str | Path):
+        try:
+            check_scene(scene if isinstance(scene, dict) else Path(scene))
+            loaded = load_unmerged(scene, float_textures=float_textures)
+        except (RuntimeError, UnsafeSceneError) as error:
+            msg = f"`scene` cannot be loaded: {one_line(error)}"
+            raise SceneLoadError(msg) from None
     if not isinstance(loaded, mi.Scene):
         msg = f"`scene` must be a dict, the path of an XML file, or an mi.Scene, got a {type(loaded).__name__}"
         raise OptionError(msg)
@@ -124,17 +125,10 @@ def find_sensor(scene: Any, index: int) -> Any:
     return sensors[number]
 
 
-def max_samples(film: Any) -> int:
-    """Return the largest number of samples per pixel, counting the border if the film samples it."""
-    border = 2 * film.rfilter().border_size() if film.sample_border() else 0
-    width, height = film.crop_size()
-    return MAX_IMAGE_SAMPLES // int((width + border) * (height + border))
-
-
 def one_line(error: Exception) -> str:
     """Return Mitsuba's message in one line, without the traceback of plugins written in Python."""
     message, _, trace = str(error).strip().partition("Traceback (most recent call last):")
-    return " ".join([*message.split(), *" ".join(trace.splitlines()[-1:]).split()])
+    return printable(" ".join([message, *trace.splitlines()[-1:]]))[:MAX_MESSAGE_LENGTH]
 
 
 def checked_samples(name: str, value: object, largest: int) -> int:

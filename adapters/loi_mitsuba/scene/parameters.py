@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import difflib
-import re
-from collections import defaultdict
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -17,13 +15,12 @@ import numpy as np
 from loi_core.errors import ParameterError
 from loi_mitsuba.scene.load import LoadedScene, load_scene, use_variant
 from mitsuba_boundaries.diagnostics import INSTANCE_PROBLEM, is_instance
-from mitsuba_boundaries.geometry.bounds import bounding_box
+from mitsuba_boundaries.parameter_names import ancestors, is_merged, readable_names
 
 __all__ = [
     "Scene",
     "SceneIndex",
     "SceneParameter",
-    "ancestors",
     "index_scene",
     "list_parameters",
     "matrix_or_value",
@@ -38,9 +35,6 @@ BLUR_HINT: Final = "; or use PlannedRenderer, which estimates the gradient from 
 HANDLE_HINT: Final = (
     "; or give PlannedRenderer a Translate or Rotate of {!r}, whose gradient it estimates from images alone"
 )
-ZERO_TOLERANCE: Final = 1e-5  # coordinates below it are rounding errors, and 0 in a name
-_ADDRESS = re.compile(r"object_\d+(_\d+)?")
-_WORD_BOUNDARY = re.compile(r"(?<=[a-z0-9])(?=[A-Z])|(?<=[A-Z])(?=[A-Z][a-z])")
 
 
 @dataclass(frozen=True)
@@ -120,7 +114,7 @@ class SceneIndex:
         self.loaded = loaded
         self.scene = loaded.scene
         self._params = mi.traverse(loaded.scene)
-        self._readable, self._positional = _readable_names(self._params, in_order=loaded.in_order)
+        self._readable, self._positional = readable_names(self._params, in_order=loaded.in_order)
         self.parameters: dict[str, SceneParameter] = {}
         self._aliases: dict[str, SceneParameter] = {}
         for key in self._params.properties:  # iterating over it directly yields pairs
@@ -249,93 +243,9 @@ def matrix_or_value(value: Any) -> Any:
     return value.matrix if isinstance(value, mi.Transform4f) else value
 
 
-def _readable_names(params: SceneParameters, *, in_order: bool) -> tuple[dict[str, str], dict[str, str]]:
-    """Return readable names of all objects by key, and positional names of meshes without an id.
-
-    The order of meshes that Mitsuba may have merged or moved is not the file's, so they are not numbered.
-    """
-    names: dict[str, str] = {}
-    counts: defaultdict[str, int] = defaultdict(int)
-    reserved = {word for key in params.properties for word in key.split(".")}
-    positional = _positional_names(params)
-    unordered = set() if in_order else _unordered_meshes(params, positional)
-    for key in params.properties:
-        words = key.split(".")[:-1]
-        nodes = ancestors(params, params.properties[key][2])
-        for depth in range(1, len(words) + 1):
-            path, parent = ".".join(words[:depth]), names.get(".".join(words[: depth - 1]), "")
-            if path in names:
-                continue
-            word = words[depth - 1]
-            node = nodes[depth] if len(nodes) == len(words) + 1 else None
-            if path in unordered:
-                word = positional[path]
-            elif node is not None and not node.id() and _ADDRESS.fullmatch(word):
-                class_name = _snake_case_class(node)
-                while (word := f"{class_name}_{counts[class_name]}") in reserved:
-                    counts[class_name] += 1
-                counts[class_name] += 1
-            names[path] = f"{parent}.{word}" if parent else word
-    return names, positional
-
-
-def _positional_names(params: SceneParameters) -> dict[str, str]:
-    """Return a name with the position of each mesh without an id, and with its size where positions coincide."""
-    names: dict[str, str] = {}
-    sizes: dict[str, str] = {}
-    for key in params.properties:
-        folder, _, entry = key.rpartition(".")
-        node = params.properties[key][2]
-        if entry in ("vertex_positions", "to_world") and isinstance(node, mi.Mesh) and not node.id():
-            if _is_merged(node):
-                names[folder] = "merged_meshes"
-                continue
-            names[folder] = f"{_snake_case_class(node)}_at_{_joined(bounding_box(node).mean(axis=0))}"
-            sizes[folder] = f"_size_{_joined(np.ptp(bounding_box(node), axis=0))}"
-    listed = list(names.values())
-    names = {key: name + sizes.get(key, "") if listed.count(name) > 1 else name for key, name in names.items()}
-    listed = list(names.values())
-    numbers = {name: iter(range(len(listed))) for name in listed}
-    # Meshes of one size in one position cannot be distinguished, so their numbers are arbitrary.
-    return {key: f"{name}_{next(numbers[name])}" if listed.count(name) > 1 else name for key, name in names.items()}
-
-
-def _joined(coordinates: Any) -> str:
-    return "_".join(f"{value:.5g}" for value in np.where(np.abs(coordinates) < ZERO_TOLERANCE, 0.0, coordinates))
-
-
-def _unordered_meshes(params: SceneParameters, positional: Mapping[str, str]) -> set[str]:
-    """Return the meshes that may be out of order: without merged meshes, a mesh that is alone of its kind is not."""
-    nodes = {params.properties[key][2]: key.rpartition(".")[0] for key in params.properties}
-    meshes = {folder: node for node, folder in nodes.items() if folder in positional}
-    classes = [_snake_case_class(node) for node in meshes.values()]
-    merged = any(map(_is_merged, meshes.values()))
-    return {folder for folder, node in meshes.items() if merged or classes.count(_snake_case_class(node)) > 1}
-
-
-def _snake_case_class(node: Any) -> str:
-    return _WORD_BOUNDARY.sub("_", node.class_name()).lower()
-
-
-def _is_merged(node: Any) -> bool:
-    """Return whether Mitsuba has merged several meshes into this one; it then joins their names."""
-    if not isinstance(node, mi.Mesh) or node.class_name() != "Mesh" or node.id():
-        return False
-    return " + " in str(node).partition("bbox")[0]
-
-
 def _moves_by_images_only(node: Any) -> bool:
     """Return whether moving an object has no gradient in Mitsuba: a sensor, an instance, or a light."""
     return isinstance(node, mi.Sensor | mi.Emitter) or is_instance(node)
-
-
-def ancestors(params: SceneParameters, node: Any) -> list[Any]:
-    """Return the objects from the scene down to `node`."""
-    chain = []
-    while node is not None:
-        chain.append(node)
-        node = params.hierarchy[node][0]
-    return chain[::-1]
 
 
 def _shape(value: Any) -> tuple[int, ...]:
@@ -348,7 +258,7 @@ def _shape(value: Any) -> tuple[int, ...]:
 
 def _problem(params: SceneParameters, key: str) -> str:
     flags, node, value = params.flags(key), params.properties[key][2], params[key]
-    if any(map(_is_merged, ancestors(params, node))):
+    if any(map(is_merged, ancestors(params, node))):
         return "Mitsuba has merged several meshes into it; give the renderer the path, or load with optimize=False"
     sensors = [ancestor for ancestor in ancestors(params, node) if isinstance(ancestor, mi.Sensor)]
     if sensors:
@@ -366,7 +276,7 @@ def _problem(params: SceneParameters, key: str) -> str:
 def _is_settable(params: SceneParameters, key: str) -> bool:
     """Return whether any value may be set. Not so for a matrix: blurring its elements leaves the rigid transforms."""
     value = params[key]
-    if params.flags(key) & mi.ParamFlags.ReadOnly or any(map(_is_merged, ancestors(params, params.properties[key][2]))):
+    if params.flags(key) & mi.ParamFlags.ReadOnly or any(map(is_merged, ancestors(params, params.properties[key][2]))):
         return False
     return isinstance(value, float) or bool(dr.is_diff_v(value) and dr.is_float_v(value))
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any, TypeAlias
+from typing import Any
 
 import mitsuba as mi
 
@@ -12,10 +12,8 @@ from mitsuba_boundaries.drjit.arrays import unravel
 
 __all__ = ["PoseParameter", "Rotate", "Scale", "Translate", "combined_transform"]
 
-Vector: TypeAlias = tuple[float, float, float]
 
-
-def combined_transform(handles: Sequence[tuple[PoseParameter, Any]], centre: Vector) -> Any:
+def combined_transform(handles: Sequence[tuple[PoseParameter, Any]], centre: tuple[float, float, float]) -> Any:
     """Combine several handles on one shape into a transform.
 
     They apply in the order of :func:`loi_core.renderers.poses.in_application_order`.
@@ -35,17 +33,15 @@ def combined_transform(handles: Sequence[tuple[PoseParameter, Any]], centre: Vec
     total = mi.Transform4f()
     for handle, value in in_application_order(handles):
         if isinstance(handle, Translate):
-            offset = unravel(mi.Vector3f, value) if handle.axis is None else _vector(handle.axis) * value
+            offset = unravel(mi.Vector3f, value) if handle.axis is None else mi.Vector3f(*handle.axis) * value
             total = mi.Transform4f().translate(offset) @ total
             continue
         pivot = mi.Vector3f(*(centre if handle.pivot is None else handle.pivot))
         if isinstance(handle, Rotate):
-            local = mi.Transform4f().rotate(_vector(handle.axis or ()), value)  # checked_targets requires an axis
+            local = mi.Transform4f().rotate(
+                mi.Vector3f(*(handle.axis or ())), value
+            )  # checked_targets requires an axis
         else:
             local = mi.Transform4f().scale(mi.Vector3f(value))
         total = mi.Transform4f().translate(pivot) @ local @ mi.Transform4f().translate(-pivot) @ total
     return total
-
-
-def _vector(axis: Sequence[float]) -> Any:
-    return mi.Vector3f(*axis)

@@ -10,13 +10,13 @@ import mitsuba as mi
 
 from loi_core.effects import EffectPlan
 from loi_core.errors import OptionError
+from mitsuba_boundaries.loading import with_sampled_borders
 
 __all__ = [
     "GRADIENT_TERMS",
     "PROJECTIVE",
     "SCENE_INTEGRATOR",
     "Settings",
-    "integrator_of",
     "omits_edges",
     "settings_of",
     "with_sampled_border",
@@ -70,8 +70,7 @@ class Settings:
 
     def sampled(self, counts: Mapping[str, int]) -> Settings:
         """Return the settings with other sample counts for some terms."""
-        all_counts = {name: counts.get(name, getattr(self, name)) for name in GRADIENT_TERMS}
-        return replace(self, sppc=all_counts["sppc"], sppp=all_counts["sppp"], sppi=all_counts["sppi"])
+        return replace(self, **counts)  # type: ignore[arg-type]  # counts of terms only
 
     def to_mapping(self) -> dict[str, Any]:
         """Return the value of :attr:`loi_core.effects.EffectPlan.settings`."""
@@ -105,34 +104,12 @@ def settings_of(plan: EffectPlan) -> Settings:
         raise OptionError(msg) from None
 
 
-def integrator_of(settings: Settings, scene: Any) -> tuple[Any, int]:
-    """Return the integrator of the settings, and the `spp` to render with: 0 for the integrator's own counts."""
-    if settings.integrator == SCENE_INTEGRATOR:
-        return scene.integrator(), settings.sppc
-    return settings.load(), 0 if settings.projective else settings.sppc
-
-
 def omits_edges(plan: EffectPlan) -> bool:
     """Return whether a pilot has measured that outlines and shadows carry a negligible part of the gradient."""
     return plan.measured and settings_of(plan).integrator == "prb"
 
 
 def with_sampled_border(scene: Any, integrator: Any) -> Any:
-    """Return a dict `scene` whose films sample their borders if the plan `integrator` needs it, or `scene` itself.
-
-    A film that is loaded cannot be changed.
-    """
-    if not isinstance(scene, dict) or not isinstance(integrator, EffectPlan):
-        return scene
-    if not settings_of(integrator).sample_border:
-        return scene
-    return {key: _with_sampled_border(value) for key, value in scene.items()}
-
-
-def _with_sampled_border(entry: Any) -> Any:
-    if not isinstance(entry, dict):
-        return entry
-    return {
-        key: {"sample_border": True, **value} if isinstance(value, dict) and "film" in str(value.get("type")) else value
-        for key, value in entry.items()
-    }
+    """Return a dict `scene` whose films sample their borders if the plan `integrator` needs it, or `scene` itself."""
+    needed = isinstance(scene, dict) and isinstance(integrator, EffectPlan) and settings_of(integrator).sample_border
+    return with_sampled_borders(scene) if needed else scene

@@ -5,10 +5,21 @@ from __future__ import annotations
 from typing import Any, Final, TypeAlias
 
 import drjit as dr
+import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["ALIGNMENT_BYTES", "Float32Array", "Float64Array", "HostArray", "aligned_copy", "gather", "unravel"]
+__all__ = [
+    "ALIGNMENT_BYTES",
+    "Float32Array",
+    "Float64Array",
+    "HostArray",
+    "aligned_copy",
+    "as_host",
+    "converted",
+    "gather",
+    "unravel",
+]
 
 HostArray: TypeAlias = NDArray[Any]
 """A NumPy array of any dtype."""
@@ -54,3 +65,21 @@ def gather(flat: Any, index: Any) -> Any:
     several threads loses gradients of small arrays, or refuses to combine them (``dr.ReduceMode.Expand``).
     """
     return dr.gather(type(flat), flat, index, mode=dr.ReduceMode.Direct)
+
+
+def as_host(value: Any, shape: tuple[int, ...]) -> Float32Array:
+    """Return an array of Dr.Jit as float32 of `shape`, in C order."""
+    return np.array(value, dtype=np.float32, order="C").reshape(shape)
+
+
+def converted(current: Any, flat: Any, shape: tuple[int, ...]) -> Any:
+    """Return the flat array `flat`, in C order of `shape`, as a value of the type of `current`, with its gradient."""
+    if isinstance(current, float):
+        return float(flat[0])
+    if dr.is_tensor_v(current):
+        return type(current)(flat, shape=shape)
+    if isinstance(current, mi.Transform4f):
+        # Gathered: an element of a flat array, such as `flat[3]`, is a plain number without a gradient.
+        rows = [[gather(flat, 4 * row + column) for column in range(4)] for row in range(4)]
+        return mi.Transform4f(mi.Matrix4f(rows))
+    return type(current)(flat) if dr.depth_v(current) == 1 else unravel(type(current), flat)

@@ -13,10 +13,11 @@ import numpy as np
 
 from mitsuba_boundaries.drjit.arrays import Float32Array
 
-__all__ = ["Film"]
+__all__ = ["Film", "max_samples"]
 
 LUMINANCE: Final = ((0.2126, 0.7152, 0.0722),)  # of linear red, green and blue (Rec. 709)
 XYZ: Final = ((0.412453, 0.357580, 0.180423), (0.212671, 0.715160, 0.072169), (0.019334, 0.119193, 0.950227))
+MAX_IMAGE_SAMPLES: Final = 2**32 - 1  # Mitsuba counts the samples of an image in 32 bits
 FILTER_STEPS: Final = 1024  # of the midpoint rule for the integral of the filter, whose error is of second order
 
 
@@ -126,6 +127,13 @@ class Film:
             mask = is_sampled & (pixel >= 0) & (pixel < self.size[axis])
             weight = self._filter.eval(position - 0.5 - mi.Float(pixel)) if radius > 0.5 else mi.Float(1.0)
             yield pixel, weight * dr.gather(mi.Float, self._normalisation[axis], mi.UInt32(pixel), mask), mask
+
+
+def max_samples(film: Any) -> int:
+    """Return the largest number of samples per pixel, counting the border if the film samples it."""
+    border = 2 * film.rfilter().border_size() if film.sample_border() else 0
+    width, height = film.crop_size()
+    return MAX_IMAGE_SAMPLES // int((width + border) * (height + border))
 
 
 def _nonzero(weights: Float32Array) -> Float32Array:

@@ -19,55 +19,49 @@ from typing import Any, Final
 
 import mitsuba as mi
 
-from loi_core.errors import LoiError
-from loi_core.support.wording import printable, shown
 from mitsuba_boundaries.loading import file_search_path
 
-__all__ = ["SceneLoadError", "check_description", "check_scene_file", "load_shipped_plugins"]
+__all__ = ["UnsafeSceneError", "check_scene", "load_shipped_plugins"]
 
 PLUGIN_NAME: Final = re.compile(r"[A-Za-z0-9_]+")
 QUOTED_TEXT: Final = re.compile("\"([^\"]*)\"|'([^']*)'")
+MAX_SHOWN_LENGTH: Final = 60  # letters of a plugin's name in a message
 LIBRARY_SUFFIXES: Final = (".so", ".dylib", ".dll")
 
 
-class SceneLoadError(LoiError, ValueError):
-    """A scene that Mitsuba cannot load, or that names a plugin which is not Mitsuba's own."""
+class UnsafeSceneError(ValueError):
+    """A scene names a plugin that is not Mitsuba's own, or a file that is a pipe or device."""
 
 
-def check_scene_file(path: Path) -> None:
-    """Check the plugins and files that an XML scene and the files it includes name.
+def check_scene(scene: Mapping[str, Any] | Path) -> None:
+    """Check the plugins and files that a scene names, in a dict for ``mi.load_dict`` or in an XML file.
 
-    Raises
-    ------
-    SceneLoadError
-        If the file cannot be parsed, a plugin is neither Mitsuba's own nor registered, or a named file is a pipe or
-        device.
-    """
-    if not path.is_file():
-        msg = f"`scene` cannot be loaded: {path}: {'not a regular file' if path.exists() else 'no such file'}"
-        raise SceneLoadError(printable(msg))
-    _check_files_of(path, [path.absolute().parent, *_searched_folders()], set())
-    with file_search_path([path.parent], extend=True):  # <path> elements add folders, which must not outlive the parser
-        try:
-            state = mi.parser.parse_file(mi.parser.ParserConfig(mi.variant()), str(path))
-        except RuntimeError as error:
-            msg = f"`scene` cannot be loaded: {path}: {' '.join(str(error).split())}"
-            raise SceneLoadError(printable(msg)[:1000]) from None
-        folders = [Path(str(file)).absolute().parent for file in (path, *state.files)]
-        _check_plugins((node.props.plugin_name() for node in state.nodes), folders)
-
-
-def check_description(description: Mapping[str, Any]) -> None:
-    """Check the plugins and files that a dict for ``mi.load_dict`` names.
+    An XML file is checked with the files that it includes.
 
     Raises
     ------
-    SceneLoadError
+    UnsafeSceneError
         If a plugin is neither Mitsuba's own nor registered, or a named file is a pipe or device.
+    RuntimeError
+        If Mitsuba cannot parse the file.
     """
-    texts = list(_texts(description))
+    if isinstance(scene, Path):
+        _check_scene_file(scene)
+        return
+    texts = list(_texts(scene))
     _check_files((text for _, text in texts), _searched_folders())
     _check_plugins((text for key, text in texts if key == "type"), ())
+
+
+def _check_scene_file(path: Path) -> None:
+    if not path.is_file():
+        msg = f"{path}: {'not a regular file' if path.exists() else 'no such file'}"
+        raise UnsafeSceneError(msg)
+    _check_files_of(path, [path.absolute().parent, *_searched_folders()], set())
+    with file_search_path([path.parent], extend=True):  # <path> elements add folders, which must not outlive the parser
+        state = mi.parser.parse_file(mi.parser.ParserConfig(mi.variant()), str(path))
+        folders = [Path(str(file)).absolute().parent for file in (path, *state.files)]
+        _check_plugins((node.props.plugin_name() for node in state.nodes), folders)
 
 
 def _texts(description: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
@@ -104,8 +98,8 @@ def _check_files(names: Iterable[str], folders: Iterable[Path]) -> list[Path]:
         if stat.S_ISREG(mode):
             files.append(file)
         elif not stat.S_ISDIR(mode):
-            msg = f"`scene` cannot be loaded: {file}: not a regular file"
-            raise SceneLoadError(printable(msg))
+            msg = f"{file}: not a regular file"
+            raise UnsafeSceneError(msg)
     return files
 
 
@@ -114,15 +108,15 @@ def _check_plugins(names: Iterable[str], folders: Iterable[Path]) -> None:
     searched = [*_searched_folders(), *folders]
     for name in dict.fromkeys(names):
         if not PLUGIN_NAME.fullmatch(name):
-            msg = f"a plugin's name must be letters, digits and underscores, got {shown(name)}"
-            raise SceneLoadError(msg)
+            msg = f"a plugin's name must be letters, digits and underscores, got {name[:MAX_SHOWN_LENGTH]!r}"
+            raise UnsafeSceneError(msg)
         if name in shipped:
             continue
         # Either a type of the parser, a plugin registered in Python, or a library that a scene brings along.
         for folder in searched:
             if any((folder / "plugins" / f"{name}{suffix}").exists() for suffix in LIBRARY_SUFFIXES):
-                msg = f"the plugin {shown(name)} is not Mitsuba's own but a library in {folder / 'plugins'}"
-                raise SceneLoadError(printable(f"{msg}; only Mitsuba's own plugins are loaded"))
+                msg = f"the plugin {name!r} is not Mitsuba's own but a library in {folder / 'plugins'}"
+                raise UnsafeSceneError(msg)
 
 
 @functools.cache
