@@ -66,16 +66,14 @@ def light_targets(index: SceneIndex, targets: Mapping[str, ParameterTarget]) -> 
     lights = delta_lights(index.scene)
     parameters_of_lights = {}
     for name, target in targets.items():
-        if isinstance(target, str):
-            parameter = index.get(target)
-            node, key = (None, target) if parameter is None else (params.properties[parameter.key][2], parameter.key)
-        else:
-            node, key = index.find_movable(target.shape)[1], ""
+        node, entry = None, target
+        if not isinstance(target, str):
+            node = index.find_movable(target.shape)[1]
+        elif parameter := index.get(target):
+            node, entry = params.properties[parameter.key][2], parameter.key.partition(".")[2]
         number = next((lights.index(ancestor) for ancestor in ancestors(params, node) if ancestor in lights), None)
         if number is not None:
-            parameters_of_lights[name] = LightTarget(
-                number, key.split(".", 1)[1] if isinstance(target, str) else target
-            )
+            parameters_of_lights[name] = LightTarget(number, entry)
     return parameters_of_lights
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import inspect
 from collections.abc import Mapping
 from typing import Any, Final
 
@@ -9,10 +10,11 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from loi_core.errors import OptionError, ParameterError
+from loi_core.errors import OptionError, ParameterError, UnknownOptionError
 from loi_core.fitting.optimiser import Memory
 from loi_core.renderers.contract import Parameters
 from loi_core.support.arrays import Array, Host, from_numpy, to_numpy
+from loi_core.support.keywords import guess
 from loi_core.support.wording import shown
 
 __all__ = ["TorchOptimiser"]
@@ -37,7 +39,7 @@ class TorchOptimiser:
     Raises
     ------
     OptionError
-        If `optimiser_class` is no such class, or does not take the options.
+        If `optimiser_class` is no such class, or does not take the options; the message guesses at a misspelt one.
 
     Examples
     --------
@@ -56,6 +58,11 @@ class TorchOptimiser:
         if "lr" in options:
             msg = "`lr` is set by the fit in every step; give it `learning_rate` instead"
             raise OptionError(msg)
+        known = [name for name in inspect.signature(optimiser_class).parameters if name not in ("params", "lr")]
+        for option in options:
+            if option not in known:
+                msg = f"{optimiser_class.__name__} takes no option `{option}`; {guess(option, known)}"
+                raise UnknownOptionError(msg)
         self._kind, self._options = optimiser_class, options
         self._make([torch.zeros(2, 2)], [1.0])
 

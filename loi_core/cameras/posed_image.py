@@ -9,6 +9,7 @@ from typing import Any, TypeAlias
 import numpy as np
 
 from loi_core.errors import OptionError
+from loi_core.support.keywords import suggest_keywords
 from loi_core.support.values import whole_number
 from loi_core.support.wording import shown
 
@@ -17,6 +18,7 @@ __all__ = ["FloatMatrix", "PosedImage"]
 FloatMatrix: TypeAlias = np.ndarray[Any, np.dtype[np.float64]]
 
 
+@suggest_keywords
 @dataclass(frozen=True, eq=False)
 class PosedImage:
     """A photograph with the camera that took it.

@@ -9,11 +9,13 @@ from loi_core.method.tonal import isophote_density
 from loi_core.pixels.layout import Layout, check_channel_axis
 from loi_core.pixels.nonfinite import require_finite
 from loi_core.support.arrays import Array, as_floating, from_numpy, namespace, narrowed, widened
+from loi_core.support.keywords import suggest_keywords
 from loi_core.support.wording import shown
 
 __all__ = ["inner_images", "isophotes", "local_histograms"]
 
 
+@suggest_keywords
 def inner_images(image: Array, scales: ScaleSpace, *, channel_axis: int | None = -1) -> dict[float, Array]:
     """Return the image at every inner scale (eq. 1): ``{sigma: array like image}``.
 
@@ -33,6 +35,7 @@ def inner_images(image: Array, scales: ScaleSpace, *, channel_axis: int | None =
     return {sigma: narrowed(layout.to_image(_inner(compressed, scales, sigma)), image) for sigma in scales.sigma}
 
 
+@suggest_keywords
 def isophotes(image: Array, scales: ScaleSpace, *, sigma: float, beta: float, channel_axis: int | None = -1) -> Array:
     """Return the soft isophotes of an image (eq. 3): the density of each intensity at each pixel.
 
@@ -56,6 +59,7 @@ def isophotes(image: Array, scales: ScaleSpace, *, sigma: float, beta: float, ch
     return local_histograms(image, scales, sigma=sigma, beta=beta, alpha=0.0, channel_axis=channel_axis)
 
 
+@suggest_keywords
 def local_histograms(
     image: Array, scales: ScaleSpace, *, sigma: float, beta: float, alpha: float, channel_axis: int | None = -1
 ) -> Array:

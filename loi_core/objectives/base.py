@@ -31,6 +31,7 @@ from loi_core.support.arrays import (
     narrowed,
     widened,
 )
+from loi_core.support.keywords import suggest_keywords
 
 __all__ = ["ImageObjective", "Objective", "reference_like", "total"]
 
@@ -50,6 +51,7 @@ class Objective(Protocol):
         """Return the value and its gradient with respect to the image, which has the image's shape."""
 
 
+@suggest_keywords
 class ImageObjective(abc.ABC, Generic[KeyT]):
     """Base of the objectives that compare an image with a reference of the same shape.
 

@@ -10,11 +10,13 @@ import numpy as np
 from loi_core.io.images import FloatImage
 from loi_core.pixels.encoding import Encoding
 from loi_core.support.arrays import Array, from_numpy, is_array_api_obj, namespace
+from loi_core.support.keywords import suggest_keywords
 from loi_core.support.values import whole_number
 
 __all__ = ["Target", "image_and_weights"]
 
 
+@suggest_keywords
 @dataclass(frozen=True)
 class Target:
     """An image to match, which losses and objectives take in place of an array.

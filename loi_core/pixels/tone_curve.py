@@ -8,6 +8,7 @@ from typing import Final
 
 from loi_core.errors import OptionError
 from loi_core.support.arrays import Array, namespace
+from loi_core.support.keywords import suggest_keywords
 from loi_core.support.values import real_number
 from loi_core.support.wording import shown
 
@@ -17,6 +18,7 @@ PEAK_RANGE: Final = (1e-12, 1e12)  # any unit of radiance; the slope of the curv
 COMPRESSION_RANGE: Final = (1e-3, 1e6)
 
 
+@suggest_keywords
 @dataclass(frozen=True)
 class LogTone:
     """The mu-law range compressor: linear for dark values, logarithmic for bright ones.

@@ -10,6 +10,7 @@ from loi_core.effects import EffectPlanner
 from loi_core.errors import RendererError
 from loi_core.pixels.encoding import Encoding
 from loi_core.support.arrays import Array
+from loi_core.support.keywords import suggest_keywords
 from loi_core.support.wording import shown
 
 __all__ = [
@@ -74,6 +75,7 @@ class _RenderLossVjp(Protocol):
     def __call__(self, params: Any, /, *, seed: int = 0) -> tuple[Any, LossPullback]: ...
 
 
+@suggest_keywords
 @dataclass(frozen=True)
 class RendererCapabilities:
     """Optional capabilities of a renderer beyond :class:`Renderer`; None for a missing capability.

@@ -14,6 +14,7 @@ import numpy as np
 
 from loi_core.errors import ParameterError
 from loi_core.renderers.validation import FloatArray
+from loi_core.support.keywords import suggest_keywords
 from loi_core.support.values import real_number
 from loi_core.support.wording import shown
 
@@ -30,6 +31,7 @@ __all__ = [
 Vector: TypeAlias = tuple[float, float, float]
 
 
+@suggest_keywords
 @dataclass(frozen=True)
 class Translate:
     """Translation of a shape from its position in the scene.
@@ -56,6 +58,7 @@ class Translate:
         return np.zeros(3 if self.axis is None else ())
 
 
+@suggest_keywords
 @dataclass(frozen=True)
 class Rotate:
     """Rotation of a shape about an axis; the parameter is an angle in degrees, 0-d.
@@ -89,6 +92,7 @@ class Rotate:
         return np.eye(2, 3) if self.axis is None else np.zeros(())
 
 
+@suggest_keywords
 @dataclass(frozen=True)
 class Scale:
     """Uniform scaling of a shape; the parameter is a factor, 0-d, more than 0.

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from loi_core.io.files import read_bytes, write_text
+from loi_core.support.keywords import suggest_keywords
 
 __all__ = ["read_record", "write_record"]
 
@@ -15,6 +16,7 @@ MAX_RECORD_BYTES: Final = 2**26
 RUN: Final = "run"
 
 
+@suggest_keywords
 def read_record(path: Path, identity: str) -> dict[str, Any] | None:
     """Return the record of a run; None if the file is missing, damaged, or belongs to another run.
 
@@ -37,6 +39,7 @@ def read_record(path: Path, identity: str) -> dict[str, Any] | None:
     return record if isinstance(record, dict) and record.get(RUN) == identity else None
 
 
+@suggest_keywords
 def write_record(path: Path, identity: str, content: Mapping[str, Any]) -> None:
     """Write the record of a run, plain JSON values, atomically."""
     write_text(path, json.dumps({RUN: identity, **content}) + "\n")

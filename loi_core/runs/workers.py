@@ -14,6 +14,7 @@ from typing import Any, Final
 from loi_core.errors import ExecutorError, OptionError
 from loi_core.runs.dask import CONNECT_TIMEOUT_S, connect
 from loi_core.runs.processes import RunResult, RunT, kill_processes, supervise
+from loi_core.support.keywords import suggest_keywords
 from loi_core.support.processors import usable_processors
 from loi_core.support.values import real_number, whole_number
 from loi_core.support.wording import described, shown
@@ -24,6 +25,7 @@ MAX_TIMEOUT_S: Final = 1e8  # three years
 MAX_PROCESSES: Final = 4096
 
 
+@suggest_keywords
 class Workers:
     """Worker processes that execute runs in parallel; a context manager, which kills them at its end.
 

@@ -30,6 +30,7 @@ from loi_core.method.gaussian import truncation
 from loi_core.method.reference import DOUBLE, Planes, cost, dense_blur, slope_of_cost
 from loi_core.method.scales import ScaleSpace
 from loi_core.support.arrays import Host
+from loi_core.support.keywords import suggest_keywords
 
 __all__ = ["Allowed", "allowed"]
 
@@ -67,6 +68,7 @@ class Allowed:
         return float(np.sum(self.gradient))
 
 
+@suggest_keywords
 def allowed(
     image: Host, reference: Host, scales: ScaleSpace, eps: float, *, channel_axis: int | None = -1, shift: float = 0.0
 ) -> Allowed:

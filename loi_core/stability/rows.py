@@ -13,6 +13,7 @@ from loi_core.plugins.measurement_backends import MeasurementBackend
 from loi_core.stability.case import HardCase
 from loi_core.stability.rules import STABILITY_CHECKS, distance
 from loi_core.stability.trial import Answer, Trial, dtypes_of, try_case
+from loi_core.support.keywords import suggest_keywords
 from loi_core.support.wording import described
 
 __all__ = ["Progress", "StabilityRow", "stability_rows"]
@@ -88,6 +89,7 @@ class StabilityRow:
         )
 
 
+@suggest_keywords
 def stability_rows(
     cases: Sequence[HardCase], backends: Mapping[str, MeasurementBackend], progress: Progress | None = None
 ) -> Iterator[StabilityRow]:

@@ -55,12 +55,16 @@ def guess(name: str, known: Collection[str]) -> str:
 def suggest_keywords(subject: CallableT) -> CallableT:
     """Return a function or class whose calls raise :class:`UnknownOptionError`, with a guess, for unknown keywords.
 
-    Python's own TypeError names the keyword alone. The signature stays as it is.
+    Python's own TypeError names the keyword alone. The signature stays as it is. The public class methods of a class
+    guess as well.
     """
     if not isinstance(subject, type):
         checked: CallableT = _checked(subject, subject.__name__)
         return checked
     subject.__init__ = _checked(subject.__init__, subject.__name__)  # type: ignore[misc]  # of this class, no instance
+    for name, method in list(vars(subject).items()):
+        if isinstance(method, classmethod) and not name.startswith("_"):
+            setattr(subject, name, classmethod(_checked(method.__func__, f"{subject.__name__}.{name}")))
     return subject
 
 
@@ -68,7 +72,8 @@ def _checked(function: Any, name: str) -> Any:
     known = {
         parameter.name: None
         for parameter in inspect.signature(function).parameters.values()
-        if parameter.name != "self" and parameter.kind in (parameter.POSITIONAL_OR_KEYWORD, parameter.KEYWORD_ONLY)
+        if parameter.name not in ("self", "cls")
+        and parameter.kind in (parameter.POSITIONAL_OR_KEYWORD, parameter.KEYWORD_ONLY)
     }
 
     @functools.wraps(function)

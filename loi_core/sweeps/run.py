@@ -10,6 +10,7 @@ from typing import Any, Final, TypeAlias
 
 from loi_core.errors import SceneError
 from loi_core.runs import RunResult, Workers
+from loi_core.support.keywords import suggest_keywords
 from loi_core.support.values import whole_number
 from loi_core.sweeps.fit_task import FitTask, run_fit, scene_error
 from loi_core.sweeps.folder import SweepFolder
@@ -57,6 +58,7 @@ class SweepResult:
         return sum(row["status"] == status for row in self.rows)
 
 
+@suggest_keywords
 def sweep(
     path: Path | str,
     *,

@@ -11,11 +11,13 @@ import numpy as np
 from loi_core.errors import ImageTypeError
 from loi_core.objectives.base import ImageObjective, Objective
 from loi_core.support.arrays import Array, Host, arrays_equal, as_floating, epsilon, library_name, to_numpy
+from loi_core.support.keywords import suggest_keywords
 from loi_core.testing.checks import Check, measure_slopes, run_checks, slope_tolerance
 
 __all__ = ["OBJECTIVE_CHECKS", "ObjectiveSubject", "check_objective"]
 
 
+@suggest_keywords
 @dataclass(frozen=True)
 class ObjectiveSubject:
     """A factory of objectives under test.
@@ -52,6 +54,7 @@ class ObjectiveSubject:
 _Check: TypeAlias = Check[ObjectiveSubject]
 
 
+@suggest_keywords
 def check_objective(
     make: Callable[[Any], Objective],
     *,

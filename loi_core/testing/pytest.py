@@ -6,12 +6,14 @@ from collections.abc import Callable, Iterable, Mapping
 from typing import Any
 
 from loi_core.errors import ConformanceError, OptionError
+from loi_core.support.keywords import suggest_keywords
 from loi_core.testing.objectives import OBJECTIVE_CHECKS, ObjectiveSubject
 from loi_core.testing.renderers import RENDERER_CHECKS, RendererSubject
 
 __all__ = ["parametrize_with_checks"]
 
 
+@suggest_keywords
 def parametrize_with_checks(
     subjects: Iterable[RendererSubject | ObjectiveSubject], *, expected_failures: Mapping[str, str] | None = None
 ) -> Callable[[Any], Any]:

@@ -22,6 +22,7 @@ from loi_core.support.arrays import (
     namespace,
     to_numpy,
 )
+from loi_core.support.keywords import suggest_keywords
 from loi_core.testing.checks import Check, Slopes, measure_slopes, run_checks, slope_tolerance
 
 __all__ = ["RENDERER_CHECKS", "RendererSubject", "check_renderer"]
@@ -34,6 +35,7 @@ RANDOM_SUMS: Final = 8  # random weighted sums of the pixels
 MAX_UNEXPLAINED: Final = 0.3  # fraction of an image's change along a path that the gradient may leave unexplained
 
 
+@suggest_keywords
 @dataclass(frozen=True)
 class RendererSubject:
     """A renderer under test.
@@ -60,6 +62,7 @@ class RendererSubject:
 _Check: TypeAlias = Check[RendererSubject]
 
 
+@suggest_keywords
 def check_renderer(
     renderer: Renderer,
     *,

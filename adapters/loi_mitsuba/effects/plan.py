@@ -9,6 +9,7 @@ from typing import Any
 
 from loi_core.effects import EffectPlan
 from loi_core.objectives.base import Objective
+from loi_core.support.keywords import suggest_keywords
 from loi_mitsuba.effects.renderer import FRACTION, PlannedRenderer
 from loi_mitsuba.scene.load import ParameterTarget
 from loi_mitsuba.scene.parameters import Scene
@@ -17,6 +18,7 @@ from mitsuba_boundaries.proxy.scene import ProxySettings
 __all__ = ["plan_effects"]
 
 
+@suggest_keywords
 def plan_effects(
     scene: dict[str, Any] | str | Path | Scene,
     optimised: Mapping[str, ParameterTarget | Mapping[str, Any]],

@@ -9,6 +9,7 @@ import torch
 from torch import Tensor
 
 from loi_core.errors import ParameterError
+from loi_core.support.keywords import suggest_keywords
 from loi_torch.mesh.cameras import Camera
 from loi_torch.mesh.posing import rotation_from_rows
 
@@ -22,6 +23,7 @@ PIXEL_CENTRE = 0.5
 """Position of the first pixel's centre from the image's corner; kornia counts pixels from that centre."""
 
 
+@suggest_keywords
 def cameras_from_pinhole(pinhole: PinholeCamera, *, near: float = 0.01) -> list[Camera]:
     """Return the cameras of a batch of kornia's.
 
@@ -47,6 +49,7 @@ def cameras_from_pinhole(pinhole: PinholeCamera, *, near: float = 0.01) -> list[
     return [Camera.from_matrix(matrix, extrinsics, near=near) for matrix, extrinsics in pairs]
 
 
+@suggest_keywords
 def pinhole_from_cameras(cameras: Sequence[Camera], height: int, width: int) -> PinholeCamera:
     """Return perspective cameras that draw images of one size as a batch of kornia's, float64 on the processor.
 
@@ -94,6 +97,7 @@ def values_from_pose(pose: Se3) -> tuple[Tensor, Tensor]:
     return matrix[:3, 3], matrix[:2, :3]
 
 
+@suggest_keywords
 def pose_from_values(translation: Tensor, rotation: Tensor) -> Se3:
     """Return values of the handles in :func:`values_from_pose` as a pose."""
     from kornia.geometry.liegroup import Se3, So3

@@ -96,6 +96,7 @@ def draw(
     return frame.finished(image)
 
 
+@suggest_keywords
 def draw_positions(
     meshes: Sequence[Mesh],
     camera: Camera,

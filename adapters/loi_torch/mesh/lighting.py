@@ -9,6 +9,7 @@ import torch
 from torch import Tensor
 
 from loi_core.errors import ParameterError
+from loi_core.support.keywords import suggest_keywords
 from loi_torch.mesh.meshes import Material
 from loi_torch.mesh.tensors import finite_tensor, unit
 from loi_torch.mesh.textures import MipPyramid, cube_coordinates, latlong_coordinates
@@ -16,6 +17,7 @@ from loi_torch.mesh.textures import MipPyramid, cube_coordinates, latlong_coordi
 __all__ = ["Environment", "Light", "blinn_phong"]
 
 
+@suggest_keywords
 @dataclass(frozen=True, eq=False)
 class Light:
     """A light without falloff or shadows; at the camera if it has neither position nor direction.

@@ -12,6 +12,7 @@ from torch import Tensor
 
 from loi_core.errors import ParameterError
 from loi_core.support.arrays import to_numpy
+from loi_core.support.keywords import suggest_keywords
 from loi_core.support.wording import shown
 from loi_torch.mesh.tensors import accelerator_of, finite_tensor, unit
 from loi_torch.mesh.topology import IndexArray, edge_topology, weld_vertices
@@ -23,6 +24,7 @@ class MeshWarning(UserWarning):
     """A mesh, or its file, has a property that its images will not show."""
 
 
+@suggest_keywords
 @dataclass(frozen=True, eq=False)
 class Material:
     """Blinn-Phong reflection, and mirror reflection of the environment.
@@ -62,6 +64,7 @@ class Material:
             raise ParameterError(msg)
 
 
+@suggest_keywords
 @dataclass(frozen=True, eq=False)
 class Mesh:
     """A triangle mesh with colours, and optionally a texture.

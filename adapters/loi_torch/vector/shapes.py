@@ -11,6 +11,7 @@ import numpy as np
 
 from loi_core.errors import ParameterError
 from loi_core.renderers.validation import FloatArray, check_floats
+from loi_core.support.keywords import suggest_keywords
 from loi_core.support.wording import shown
 
 __all__ = ["Cap", "Circle", "Ellipse", "Join", "Outline", "Paint", "Path", "Rectangle", "Rule", "Shape", "polygon"]
@@ -21,6 +22,7 @@ Rule = Literal["nonzero", "evenodd"]
 Numbers: TypeAlias = Sequence[float] | Sequence[Sequence[float]] | FloatArray
 
 
+@suggest_keywords
 @dataclass(frozen=True)
 class Paint:
     """Fill and stroke of a shape.
@@ -62,6 +64,7 @@ class Paint:
                 raise ParameterError(msg)
 
 
+@suggest_keywords
 @dataclass(frozen=True)
 class Circle:
     """A circle; it stays one in a fit.
@@ -84,6 +87,7 @@ class Circle:
         _not_negative("radius", self.radius, ())
 
 
+@suggest_keywords
 @dataclass(frozen=True)
 class Ellipse:
     """An ellipse.
@@ -110,6 +114,7 @@ class Ellipse:
         check_floats("rotation", self.rotation, ())
 
 
+@suggest_keywords
 @dataclass(frozen=True)
 class Rectangle:
     """A rectangle with rounded corners.
@@ -140,6 +145,7 @@ class Rectangle:
         check_floats("rotation", self.rotation, ())
 
 
+@suggest_keywords
 @dataclass(frozen=True)
 class Outline:
     """One part of a path: lines and Bezier curves, end to end.
@@ -165,6 +171,7 @@ class Outline:
         check_floats("points", self.points, (sum(self.degrees) + (0 if self.closed else 1), 2))
 
 
+@suggest_keywords
 @dataclass(frozen=True)
 class Path:
     """Outlines that are filled together, so that one can be a hole in another, and stroked.
@@ -188,6 +195,7 @@ Shape: TypeAlias = Circle | Ellipse | Rectangle | Path
 """Any of the shapes that a drawing is made of."""
 
 
+@suggest_keywords
 def polygon(points: Numbers, paint: Paint, *, closed: bool = True) -> Path:
     """A path of straight lines through `points`, shape (m, 2); if it is not `closed`, it has two ends."""
     count = len(points) - (0 if closed else 1)

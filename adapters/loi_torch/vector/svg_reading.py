@@ -14,6 +14,7 @@ import numpy as np
 from loi_core.errors import SvgError
 from loi_core.io.files import read_bytes
 from loi_core.renderers.validation import FloatArray
+from loi_core.support.keywords import suggest_keywords
 from loi_core.support.wording import described, shown
 from loi_torch.vector.coverage import MAX_COORDINATE_PX
 from loi_torch.vector.shapes import Path, Shape
@@ -86,6 +87,7 @@ class Drawing:
     background: FloatArray
 
 
+@suggest_keywords
 def read_svg(path: pathlib.Path, height: int, width: int) -> Drawing:
     """Read shapes from an SVG file.
 

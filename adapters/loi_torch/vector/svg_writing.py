@@ -9,12 +9,14 @@ import numpy as np
 
 from loi_core.io.files import write_text
 from loi_core.renderers.validation import FloatArray, check_floats, check_size
+from loi_core.support.keywords import suggest_keywords
 from loi_torch.vector.shapes import Circle, Ellipse, Outline, Paint, Path, Shape
 from loi_torch.vector.svg_colours import CORNERS, NAMESPACE, spell_colour
 
 __all__ = ["write_svg"]
 
 
+@suggest_keywords
 def write_svg(
     path: pathlib.Path,
     shapes: Iterable[Shape],
