@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import importlib
 import sys
+from pathlib import Path
 from typing import Final
 
 import pytest
@@ -59,6 +60,43 @@ def test_a_missing_framework_is_named_with_its_extra(absent: str, extra: str, st
     message = rf"ModuleNotFoundError: the package {absent} is not installed: .*\[{extra}\]"
     with pytest.raises(AssertionError, match=message):
         run(sys.executable, "-c", hidden + statement)
+
+
+FOLDER_ALONE = """
+import sys
+from importlib.machinery import PathFinder
+
+class OnlyTheFolder(PathFinder):
+    @classmethod
+    def find_spec(cls, name, path=None, target=None):
+        return PathFinder.find_spec(name, [sys.argv[1]]) if name == sys.argv[2] else None
+
+sys.meta_path.insert(0, OnlyTheFolder)
+"""
+
+
+@pytest.mark.parametrize("name", ["torch", "jax", "mitsuba", "kornia"])
+def test_a_folder_with_the_name_of_a_missing_framework_is_not_the_framework(name: str, tmp_path: Path) -> None:
+    if name == "kornia":
+        pytest.importorskip("torch")
+    (tmp_path / name).mkdir()
+    module = "loi.torch.kornia" if name == "kornia" else f"loi.{name}"
+    message = rf"ModuleNotFoundError: the package {name} is not installed: .*\[{name}\]"
+    with pytest.raises(AssertionError, match=message):
+        run(sys.executable, "-c", f"{FOLDER_ALONE}import {module}", str(tmp_path), name)
+
+
+def test_the_loss_of_mitsuba_uses_numpy_beside_a_folder_with_the_name_of_a_missing_torch(tmp_path: Path) -> None:
+    pytest.importorskip("mitsuba")
+    (tmp_path / "torch").mkdir()
+    code = f"""{FOLDER_ALONE}
+import loi_mitsuba
+import mitsuba as mi
+mi.set_variant("llvm_ad_rgb")
+image = mi.TensorXf([0.5] * 192, (8, 8, 3))
+print(float(loi_mitsuba.loi_loss(image, image)[0]))
+"""
+    assert run(sys.executable, "-c", code, str(tmp_path), "torch").strip() == "0.0"
 
 
 def test_the_namespace_is_also_the_command() -> None:

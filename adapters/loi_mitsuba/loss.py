@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib
 from collections.abc import Callable
 from typing import Any, Final, Literal, TypeAlias, cast, get_args
 
@@ -17,7 +16,7 @@ from loi_core.pixels.exposure import Exposure
 from loi_core.pixels.nonfinite import NanPolicy
 from loi_core.pixels.target import Target, image_and_weights
 from loi_core.support.arrays import Array, is_read_by_numpy, namespace, to_numpy
-from loi_core.support.installed import how_to_install
+from loi_core.support.installed import how_to_install, import_library
 from loi_core.support.keywords import suggest_keywords
 from loi_core.support.wording import shown
 from mitsuba_boundaries.drjit.arrays import ALIGNMENT_BYTES, aligned_copy
@@ -183,7 +182,7 @@ def _check_backend(backend: object) -> Backend:
         msg = f"`backend` must be one of {', '.join(map(repr, get_args(Backend)))} or None, got {shown(backend)}"
         raise OptionError(msg)
     try:
-        importlib.import_module(backend)
+        import_library(backend)
     except ImportError as error:
         msg = f"`backend` is {backend!r}, which cannot be imported ({error}); {how_to_install(backend)}"
         raise BackendMissingError(msg) from None
@@ -192,7 +191,7 @@ def _check_backend(backend: object) -> Backend:
 
 def _default_backend() -> Backend:
     try:
-        torch = importlib.import_module("torch")
+        torch = import_library("torch")
     except ImportError:
         return "numpy"
     # A CPU-only torch cannot read an image on a GPU. JAX can, but is never the default, because it would reserve most

@@ -1,5 +1,10 @@
 """`loi` for PyTorch: the loss as a module and a function, objectives from torch distances, optimisers, renderers."""
 
+# ruff: noqa: E402 - torch is missing where there is only a folder of its name
+from loi_core.support.installed import import_library
+
+import_library("torch")
+
 from loi_core.method.dispatch import register_backend
 from loi_torch.features import FeatureDistance
 from loi_torch.loss import LOILoss, loi_loss

@@ -12,8 +12,9 @@ import importlib.util
 
 from mitsuba_boundaries.llvm import LLVMChoice, LLVMError, prepare
 
-# Without this check, the error would be a missing `drjit`.
-if importlib.util.find_spec("mitsuba") is None:
+# Without this check, the error would be a missing `drjit`. Python finds any folder of the name, which has no origin.
+_spec = importlib.util.find_spec("mitsuba")
+if _spec is None or _spec.origin is None:
     msg = "No module named 'mitsuba'"
     raise ModuleNotFoundError(msg, name="mitsuba")
 prepare()

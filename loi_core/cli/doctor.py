@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import argparse
 import contextlib
-import importlib
 import json
 import os
 import platform
@@ -23,7 +22,7 @@ from loi_core.errors import LoiError, WeightsError
 from loi_core.method.compiled import SWITCH, available
 from loi_core.plugins.baselines import make_baseline
 from loi_core.plugins.registry import OBJECTIVES, PluginInfo, available_renderers
-from loi_core.support.installed import how_to_install
+from loi_core.support.installed import how_to_install, import_library
 from loi_core.support.processors import usable_processors
 
 __all__ = ["Finding", "findings", "run"]
@@ -146,7 +145,7 @@ def _package(name: str, module: str, fix: str, *, required: bool) -> Finding:
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
-            importlib.import_module(module)
+            import_library(module)
     except ModuleNotFoundError as error:
         if (error.name or "").split(".")[0] in (name, module):
             return Finding(name, "broken" if required else "missing", "not installed", fix)
@@ -175,7 +174,7 @@ def _gpu() -> Finding:
     probes: dict[str, Callable[[Any], str]] = {"torch": _torch_gpu, "jax": _jax_gpu}
     for name, probe in probes.items():
         try:
-            device = probe(importlib.import_module(name))
+            device = probe(import_library(name))
         except Exception:  # noqa: BLE001, S112 - the backend's own finding describes the problem
             continue
         if device:

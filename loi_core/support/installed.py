@@ -1,13 +1,33 @@
-"""The command that installs a missing extra."""
+"""Libraries that may be missing, and the command that installs them."""
 
 from __future__ import annotations
 
+import importlib
 import importlib.metadata
+import importlib.util
 import json
 import shlex
 from pathlib import Path
+from types import ModuleType
 
-__all__ = ["how_to_install"]
+__all__ = ["how_to_install", "import_library"]
+
+
+def import_library(name: str) -> ModuleType:
+    """Import a library, and take a mere folder of that name for a missing library.
+
+    Python imports any folder on its path as an empty package, such as a folder `torch` beside a program.
+
+    Raises
+    ------
+    ModuleNotFoundError
+        If there is no such library.
+    """
+    spec = importlib.util.find_spec(name)
+    if spec is None or spec.origin is None:
+        msg = f"No module named {name!r}"
+        raise ModuleNotFoundError(msg, name=name)
+    return importlib.import_module(name)
 
 
 def how_to_install(extra: str, package: str = "loi") -> str:

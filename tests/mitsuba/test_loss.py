@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib
 import subprocess
 import sys
 from pathlib import Path
@@ -230,7 +229,7 @@ def test_a_missing_array_library_raises_an_error_that_names_it(monkeypatch: pyte
         raise ModuleNotFoundError(name=name)
 
     tensor = attached(images(SHAPE, 10)[0])
-    monkeypatch.setattr(importlib, "import_module", absent)
+    monkeypatch.setattr("loi_mitsuba.loss.import_library", absent)
     assert _check_backend(None) == "numpy"
     with pytest.raises(ImportError, match=r"`backend` is 'torch', which cannot be imported ") as caught:
         loi_loss(tensor, tensor, backend="torch")
