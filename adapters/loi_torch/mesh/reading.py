@@ -38,7 +38,7 @@ def read_mesh(path: pathlib.Path | str, *, side_files: bool = False, **options: 
     **options
         Of :class:`Mesh`. They replace the file's colours of vertices or triangles, texture coordinates, and base colour
         and texture of a material. Colours and textures are decoded from sRGB, except the colours of a glTF and of an
-        OBJ's materials, which are linear.
+        OBJ's materials: these are linear, as Blender writes them. MTL has no rule, and three.js takes its `Kd` as sRGB.
 
     Returns
     -------
@@ -231,10 +231,7 @@ def _texture(material: Any) -> Any:
 
 
 def _base_colour(material: Any) -> Any:
-    """Return the linear RGB factor of a material's texture, or None for white.
-
-    The diffuse colours of an OBJ's materials are taken as linear, as Blender writes them.
-    """
+    """Return the linear RGB factor of a material's texture, or None for white."""
     factor = getattr(material, "baseColorFactor", None)
     if factor is not None:
         return np.asarray(factor, dtype=np.float64)[:3] / 255.0
