@@ -66,7 +66,9 @@ class ScaleSpace:
         Extent scales: standard deviations, in pixels, of the neighbourhood of a histogram (eq. 4).
         0 compares pixel by pixel.
     beta : float or sequence of float
-        Tonal scales: standard deviations, in units of intensity, of the uncertainty of a pixel (eq. 3).
+        Tonal scales: standard deviations, in units of intensity, of the uncertainty of a pixel (eq. 3). Losses
+        warn if the smallest is wider than the bounds: a fine pattern of black and white then differs from a grey by
+        less than a fifth of what black does (by 0.8 at an eighth of the bounds).
     bounds : (float, float)
         Smallest and largest intensity that is compared as it is; :attr:`intensity_range` compresses values beyond.
     boundary : {"reflect", "zero"}
@@ -256,9 +258,12 @@ class ScaleSpace:
         for beta in self.beta:
             levels = self.levels(beta)
             eighth = ", an eighth of the bounds" if math.isclose(beta * DEFAULT_BETAS_IN_BOUNDS, high - low) else ""
+            effect = "distinguishes intensities that differ by about as much"
+            if beta > high - low:
+                effect = "wider than the bounds, and compares little more than local means"
             lines.append(
-                f"beta {beta:g}{eighth}: distinguishes intensities that differ by about as much; {len(levels)} levels "
-                f"from {levels[0]:g} to {levels[-1]:g}, and time grows with their number"
+                f"beta {beta:g}{eighth}: {effect}; {len(levels)} levels from {levels[0]:g} to {levels[-1]:g}, and time "
+                f"grows with their number"
             )
         lines += [self._alpha_line(alpha, max(height, width)) for alpha in self.alpha]
         lines.append(f"bounds {low:g} to {high:g}: intensities beyond them count by their logarithm")

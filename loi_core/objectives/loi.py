@@ -16,6 +16,7 @@ from loi_core.method.scales import Boundary, ScaleSpace
 from loi_core.objectives.base import ImageObjective
 from loi_core.objectives.evaluation import Evaluation, PlaneComparison, ReferencePlanes
 from loi_core.objectives.facts import facts_of_scales
+from loi_core.pixels.bounds import warn_if_indistinct
 from loi_core.pixels.colours import Colours, check_colours
 from loi_core.pixels.exposure import Exposure
 from loi_core.pixels.nonfinite import NanPolicy
@@ -61,6 +62,15 @@ def gradient_tolerance(accuracy: str | float) -> float:
 def accuracy_name(tolerance: float) -> str:
     """Return the name of the accuracy with this relative gradient error, or the number if it has no name."""
     return next((name for name, error in ACCURACIES.items() if error == tolerance), f"{tolerance:g}")
+
+
+def check_scales(scales: object) -> ScaleSpace:
+    """Return `scales`, or raise ScaleError if they are of another type; warn if they distinguish no intensities."""
+    if not isinstance(scales, ScaleSpace):
+        msg = f"`scales` must be a ScaleSpace, got {type(scales).__name__}"
+        raise ScaleError(msg)
+    warn_if_indistinct(min(scales.beta), scales.bounds)
+    return scales
 
 
 def default_scales(
@@ -149,10 +159,7 @@ class LOIObjective(ImageObjective[ScaleKey]):
         colours = check_colours(colours, None if layout.channel_axis is None else layout.planes_shape[-3])
         if scales is None:
             scales = default_scales(*self.size, colours)
-        if not isinstance(scales, ScaleSpace):
-            msg = f"`scales` must be a ScaleSpace, got {type(scales).__name__}"
-            raise ScaleError(msg)
-        self._scales = scales
+        self._scales = check_scales(scales)
         self._tolerance = gradient_tolerance(accuracy)
         self._settings = replace(self._settings, colours=colours, intensity_range=scales.intensity_range)
 

@@ -7,13 +7,13 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any, Literal, get_args
 
-from loi_core.errors import OptionError, ScaleError
+from loi_core.errors import OptionError
 from loi_core.method.dispatch import ARRAY_API, Backend, choose_backend
 from loi_core.method.planner import make_plan
 from loi_core.method.scales import ScaleSpace
 from loi_core.objectives.base import reference_like, total
 from loi_core.objectives.evaluation import PreparedObjective, ReferencePlanes
-from loi_core.objectives.loi import ScaleComparison, ScaleKey, default_scales, gradient_tolerance
+from loi_core.objectives.loi import ScaleComparison, ScaleKey, check_scales, default_scales, gradient_tolerance
 from loi_core.pixels.colours import CHANNELS, Colours, check_colours
 from loi_core.pixels.exposure import Exposure, check_exposure
 from loi_core.pixels.layout import Layout, check_channel_axis
@@ -148,9 +148,8 @@ class LossSettings:
         reduction: Reduction,
     ) -> LossSettings:
         """Return checked settings; parameters and errors as in :func:`loi_loss`."""
-        if not isinstance(scales, ScaleSpace | None):
-            msg = f"`scales` must be a ScaleSpace, got {type(scales).__name__}"
-            raise ScaleError(msg)
+        if scales is not None:
+            check_scales(scales)
         pixels = PixelSettings(
             check_channel_axis(channel_axis),
             check_nan_policy(nan_policy),

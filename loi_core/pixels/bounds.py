@@ -9,14 +9,14 @@ from typing import Final
 
 from loi_core.support.arrays import Array, namespace, values_may_decide
 
-__all__ = ["IntensityRange", "RangeWarning", "above_padding", "warn_if_out_of_range"]
+__all__ = ["IntensityRange", "RangeWarning", "above_padding", "warn_if_indistinct", "warn_if_out_of_range"]
 
 ROUNDING: Final = 1e-6  # tolerance beyond the bounds, in units of their distance: a white float32 reference is inside
 MAX_COMPRESSED_FRACTION: Final = 0.25  # of the reference without a warning: highlights, lamps and a window in view
 
 
 class RangeWarning(UserWarning):
-    """A large fraction of a reference lies beyond the bounds of the scales, where differences hardly count."""
+    """The bounds of the scales do not suit beta or the reference, and differences of intensity hardly count."""
 
 
 @dataclass(frozen=True)
@@ -113,6 +113,17 @@ def warn_if_out_of_range(reference: Array, weights: Array | None, bounds: tuple[
             f"ScaleSpace.for_image(height, width, bounds=...), or a `tone`"
         )
         warnings.warn(msg, RangeWarning, stacklevel=2)
+
+
+def warn_if_indistinct(beta: float, bounds: tuple[float, float]) -> None:
+    """Warn if the smallest tonal scale, `beta`, is wider than `bounds`, so that no intensities are distinguished."""
+    low, high = bounds
+    if beta > (1.0 + ROUNDING) * (high - low):
+        msg = (
+            f"`beta` {beta:g} is wider than the scales' `bounds` ({low:g}, {high:g}), so that little more than local "
+            f"means of intensity is compared: pass a smaller beta, such as {(high - low) / 8.0:g}, or wider bounds"
+        )
+        warnings.warn(msg, RangeWarning, stacklevel=5)
 
 
 def above_padding(compressed: Array, padding: float) -> Array:

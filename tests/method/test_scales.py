@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -10,8 +11,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from loi_core import ScaleSpace
+from loi_core import LOIObjective, ScaleSpace, loi_loss
 from loi_core.errors import LoiError, ScaleError
+from loi_core.objectives import RangeWarning
 
 
 def test_presets_are_those_of_the_paper() -> None:
@@ -83,6 +85,29 @@ def test_every_wrong_value_is_named(name: str, change: dict[str, Any]) -> None:
     assert isinstance(caught.value, ValueError)
     assert isinstance(caught.value, LoiError)
     assert "\n" not in str(caught.value)
+
+
+def test_a_beta_wider_than_the_bounds_raises_a_warning() -> None:
+    image, scales = np.zeros((8, 8, 1)), ScaleSpace(1.0, 5.0, 2)
+    message = r"`beta` 2 is wider than the scales' `bounds` \(0, 1\).* pass a smaller beta, such as 0\.125"
+    for call in (LOIObjective, partial(loi_loss, image)):
+        with pytest.warns(RangeWarning, match=message):
+            call(image, scales)
+    assert "compares little more than local means" in scales.describe(32, 32)
+    for beta, bounds in ((2, (0, 2)), ((0.125, 2), (0, 1)), (0.3, (0.4, 0.7))):
+        LOIObjective(image, ScaleSpace(1.0, 5.0, beta, bounds))  # warnings are errors
+
+
+def chessboard_contrast(beta: float) -> float:
+    """Return the distance of a chessboard from its mean, a grey, in units of the distance of black from that grey."""
+    objective = LOIObjective(np.full((16, 16, 1), 0.5), ScaleSpace(0.0, 6.0, beta))
+    chessboard = np.indices((16, 16)).sum(axis=0)[..., None] % 2.0
+    return float(objective.value(chessboard) / objective.value(np.zeros((16, 16, 1))))
+
+
+def test_a_beta_as_wide_as_the_bounds_hardly_distinguishes_a_pattern_from_its_mean() -> None:
+    assert chessboard_contrast(0.125) > 0.8
+    assert chessboard_contrast(1.0) < 0.2
 
 
 def test_wrong_arguments_of_the_presets_are_named() -> None:
