@@ -12,7 +12,7 @@ from examples.convergence.case import Case, Trial
 from loi_core import Free
 from loi_core.support.arrays import Host, to_numpy
 
-__all__ = ["SOLIDS"]
+__all__ = ["SOLIDS", "scene_on_floor"]
 
 SAMPLES: Final = 16
 TARGET_SAMPLES: Final = 256
@@ -33,7 +33,8 @@ def _floor(pattern: str) -> Host:
     return np.repeat(value[..., None], 3, axis=-1).astype(np.float32)
 
 
-def _scene(floor: str, things: str) -> dict[str, Any]:
+def scene_on_floor(pattern: str, things: str) -> dict[str, Any]:
+    """Return the dict of a lamp and a sky over a patterned floor, which carries the things that a text names."""
     import mitsuba as mi
 
     if mi.variant() is None:
@@ -42,7 +43,7 @@ def _scene(floor: str, things: str) -> dict[str, Any]:
     colours = [0.8, 0.1, 0.1], [0.1, 0.2, 0.7]
     red, blue = ({"type": "diffuse", "reflectance": {"type": "rgb", "value": colour}} for colour in colours)
     light = {"type": "area", "radiance": {"type": "rgb", "value": 50.0}}
-    texture: dict[str, Any] = {"type": "bitmap", "bitmap": mi.Bitmap(_floor(floor)), "raw": True}
+    texture: dict[str, Any] = {"type": "bitmap", "bitmap": mi.Bitmap(_floor(pattern)), "raw": True}
     scene: dict[str, Any] = {
         "type": "scene",
         "sensor": {
@@ -85,7 +86,7 @@ def _solid(floor: str, things: str, seed: int) -> Trial:
     if "turned" in things:
         handles["turn"] = loi_mitsuba.Rotate("box", (0, 0, 1))
         free["turn"], goal["turn"], allowed["turn"] = Free(0.0, -60.0, 60.0), np.asarray(rng.uniform(-40, 40)), 4.0
-    scene = _scene(floor, things)
+    scene = scene_on_floor(floor, things)
     clean = loi_mitsuba.MitsubaRenderer(scene, handles, spp=TARGET_SAMPLES)
     single = {name: np.asarray(value, np.float32) for name, value in goal.items()}
     target = to_numpy(clean.render(clean.parameters() | single, seed=10**6 + seed))

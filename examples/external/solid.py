@@ -8,9 +8,10 @@ from examples.external.problem import Problem
 from examples.external.solid_arm import ARMS
 from examples.external.solid_camera import CAMERAS
 from examples.external.solid_cubes import CUBES
+from examples.external.solid_duck import DUCKS
 from examples.external.solid_light import LIGHTS
 from examples.external.solid_views import VIEWS
 
 __all__ = ["SOLIDS"]
 
-SOLIDS: Final[tuple[Problem, ...]] = (*CUBES, *CAMERAS, *VIEWS, *ARMS, *LIGHTS)
+SOLIDS: Final[tuple[Problem, ...]] = (*CUBES, *CAMERAS, *VIEWS, *ARMS, *DUCKS, *LIGHTS)

@@ -38,10 +38,13 @@ class MovingScene:
         Returns the scene's dict; it may write files to the folder that it is given.
     key : str
         Vertex positions, or a transform.
+    report : str
+        The issue on Mitsuba's tracker that reports a wrong gradient in such a scene, or "".
     """
 
     build: Callable[[Path], dict[str, Any]]
     key: str = "moving.vertex_positions"
+    report: str = ""
 
     def agreement(self, folder: Path, integrators: list[dict[str, Any]], *, spp: int, seeds: int) -> list[Agreement]:
         """Compare the mean gradients of integrators, with respect to a translation, with central differences."""
@@ -151,6 +154,14 @@ def _box_over_floor(folder: Path) -> dict[str, Any]:
     return _lit(moving=_obj(folder))
 
 
+def _cube_in_a_sky(_: Path) -> dict[str, Any]:
+    """Return a mesh under constant light, whose gradient is that of its outline."""
+    cube = {"type": "cube", "to_world": mi.ScalarTransform4f().translate([0, 0.5, 0]).scale(0.6)}
+    scene = _lit(moving=cube) | {"lamp": {"type": "constant", "radiance": 1.0}}
+    del scene["floor"]
+    return scene
+
+
 def _rectangle_before_wall(folder: Path) -> dict[str, Any]:
     transform = mi.ScalarTransform4f
     pose = transform().translate([0, 1, 0]).rotate([0.3, 1, 0], 40).scale([0.8, 0.6, 1])
@@ -198,12 +209,15 @@ def _box_under_a_spot(folder: Path) -> dict[str, Any]:
 
 
 SCENES: Final = {
-    "flat-sided OBJ over a floor": MovingScene(_box_over_floor),
+    "cube under a uniform sky": MovingScene(_cube_in_a_sky, report="mitsuba3#1895"),
+    "flat-sided OBJ over a floor": MovingScene(_box_over_floor, report="mitsuba3#1648"),
     "leaning rectangle before a wall": MovingScene(_rectangle_before_wall, "moving.to_world"),
     "two boxes that intersect": MovingScene(_interpenetrating_boxes),
     "box that moves through a shadow": MovingScene(_shadowed_box),
-    "box and its shadow under a point light": MovingScene(_box_under_a_point_light),
-    "shadow of a ball out of view under a point light": MovingScene(_ball_out_of_view, "moving.to_world"),
+    "box and its shadow under a point light": MovingScene(_box_under_a_point_light, report="mitsuba3#1585"),
+    "shadow of a ball out of view under a point light": MovingScene(
+        _ball_out_of_view, "moving.to_world", "mitsuba3#1585"
+    ),
     "ball that moves through a shadow in the sun": MovingScene(_ball_in_the_sun, "moving.to_world"),
-    "box in the cone of a spot": MovingScene(_box_under_a_spot),
+    "box in the cone of a spot": MovingScene(_box_under_a_spot, report="mitsuba3#1443"),
 }
