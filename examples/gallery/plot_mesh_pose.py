@@ -31,10 +31,13 @@ start: dict[str, Any] = {"place": [-2.2, 1.0, -0.5], "turn": 25.0}
 photograph = renderer.render({name: torch.tensor(value, dtype=torch.float64) for name, value in truth.items()})
 
 # %%
+# From one start the fit would end at a bound, where its verdict advises ``starts=8``: eight points within the bounds.
+
 objective = LOIObjective(photograph, ScaleSpace.for_image(height, width))
 free = {"place": Free(start["place"], -3.0, 3.0), "turn": Free(start["turn"], -90.0, 90.0)}
 film = Film(photograph, linear=True)
-result = fit(renderer, objective, steps=150, optimise=free, callback=film)
+film.keep(renderer.render({name: torch.tensor(value, dtype=torch.float64) for name, value in start.items()}))
+result = fit(renderer, objective, steps=150, optimise=free, starts=8, callback=film)
 print(result.diagnosis)
 
 # %%

@@ -2,7 +2,7 @@
 Bounds, many starts, and the verdict
 ====================================
 
-A fit ends with a verdict: whether it converged and, if not, a remedy. Here a picture starts nearly half a turn away
+A fit ends with a verdict: whether it converged and, if not, a remedy. Here a picture starts a third of a turn away
 from its target. Without bounds there is no region to search, and the fit stalls.
 """
 
@@ -20,7 +20,7 @@ height, width = 64, 96
 with Image.open(cbook.get_sample_data("grace_hopper.jpg", asfileobj=False)) as stored:  # public domain
     portrait = np.asarray(stored.convert("RGB").resize((24, 28), Image.Resampling.LANCZOS)) / 255.0
 renderer = Warp(portrait, np.full((height, width, 3), 0.4))
-truth: dict[str, Any] = {"translation": np.array([28.0, -10.0]), "rotation": np.array(170.0)}
+truth: dict[str, Any] = {"translation": np.array([28.0, -10.0]), "rotation": np.array(120.0)}
 photograph = renderer.render(renderer.parameters() | truth)
 objective = LOIObjective(photograph)
 start: dict[str, Any] = {"translation": [-28.0, 12.0], "rotation": 0.0}
