@@ -1,7 +1,7 @@
 """`loi`: locally orderless images as a loss for inverse rendering, on any array library and any renderer.
 
-One namespace for the library. It has the public names and modules of `loi_core`, and those of the adapters `loi_torch`,
-`loi_jax` and `loi_mitsuba` as ``loi.torch``, ``loi.jax`` and ``loi.mitsuba``. Each is imported when it is first used.
+One namespace for the library: the public names and modules of `loi_core`, and the adapters `loi_torch`, `loi_jax` and
+`loi_mitsuba` as ``loi.torch``, ``loi.jax`` and ``loi.mitsuba``. Each module is imported when it is first used.
 """
 
 from __future__ import annotations

@@ -125,7 +125,7 @@ def _draw(case: HardCase) -> str:
 
 
 def _shown(image: Host, case: HardCase) -> Host:
-    """Within the bounds; what is not finite is magenta."""
+    """Return the image within the bounds, with magenta for pixels that are not finite."""
     lower, upper = case.scales.bounds
     colours = _three(np.clip((np.nan_to_num(image) - lower) / (upper - lower), 0.0, 1.0))
     bad = ~np.all(np.isfinite(image), axis=-1)

@@ -55,7 +55,7 @@ class _Thing:
 
 
 def seen(thing: _Thing, gain: float, seed: int) -> Start:
-    """Return a start for a photograph with this gain; the seed is that of the photograph's noise, and of the fit's."""
+    """Return a start for a photograph with this gain; the photograph's noise and the fit use the same seed."""
     import loi_mitsuba
 
     _set_variant()

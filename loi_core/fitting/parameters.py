@@ -105,7 +105,7 @@ def host_values(params: Parameters, bounds: Bounds, name: str) -> tuple[Host, Ho
 
 @dataclass(frozen=True)
 class Moved:
-    """Parameters of which one free number, or all of one free parameter, have moved.
+    """Parameters after a move of one free number, or of all numbers of one free parameter.
 
     Attributes
     ----------

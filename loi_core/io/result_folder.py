@@ -101,7 +101,7 @@ class ResultFolder:
         return sorted(name for name in self._read_marker() if name.startswith(f"{folder}/"))
 
     def remove(self, names: Iterable[str]) -> None:
-        """Remove those of these files that are listed; files that a user has added stay."""
+        """Remove the files with these names that are listed; files that a user has added stay."""
         self._listed = self._read_marker()
         removed = set(names) & self._listed
         for name in removed:

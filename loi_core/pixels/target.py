@@ -41,7 +41,7 @@ class Target:
 def image_and_weights(target: Target | Array, weights: Any, channel_axis: object) -> tuple[Array, Any]:
     """Return the image and weights of a target; of a :class:`Target` with its channels on `channel_axis`.
 
-    Weights of the call are multiplied by those of a :class:`Target`. Any other target is returned as it is.
+    Weights of the call are multiplied by the weights of a :class:`Target`. Any other target is returned unchanged.
     """
     if not isinstance(target, Target):
         return target, weights

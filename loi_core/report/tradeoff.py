@@ -167,7 +167,7 @@ def _notes(result: Tradeoff) -> list[str]:
         "relative, against exact in float64 on NumPy with all scales; other scales are another loss.",
     ]
     if _has_parameters(result):
-        lines.append("of parameters: the same of the gradient of the parameter where it is largest; it is what counts.")
+        lines.append("of parameters: the largest error among the gradients of the parameters, which limits a fit.")
     elif any(
         row.setting.accuracy == "exact" and not row.setting.change and row.error > MAX_EXACT_ERROR
         for row in result.rows

@@ -82,7 +82,7 @@ def _divider(options: Sequence[tuple[str, str]], steps: Sequence[int], run: int)
     if len(options) < 2:
         return ""
     keys = [key for key, _ in options]
-    left = keys[0]  # the start, if the folder has it
+    left = keys[0]  # the start, if the folder contains a picture of the start
     right = "final-0" if "final-0" in keys[1:] else keys[1]
     return (
         '<figure class="compare panel"><h2>Compare two pictures</h2><div class="choice">'

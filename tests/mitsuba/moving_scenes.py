@@ -155,7 +155,7 @@ def _box_over_floor(folder: Path) -> dict[str, Any]:
 
 
 def _cube_in_a_sky(_: Path) -> dict[str, Any]:
-    """Return a mesh under constant light, whose gradient is that of its outline."""
+    """Return a mesh under constant light, where only the outline of the mesh has a gradient."""
     cube = {"type": "cube", "to_world": mi.ScalarTransform4f().translate([0, 0.5, 0]).scale(0.6)}
     scene = _lit(moving=cube) | {"lamp": {"type": "constant", "radiance": 1.0}}
     del scene["floor"]

@@ -59,7 +59,7 @@ RESULTS = {
 
 
 def takes_keywords(subject: Any) -> bool:
-    """Return whether users call a public object with several arguments, none of which are the options of another."""
+    """Return whether users call a public object with several arguments, without options that it passes on."""
     if not callable(subject) or not subject.__module__.startswith("loi_") or subject.__name__ in RESULTS:
         return False
     if inspect.isabstract(subject) or getattr(subject, "_is_protocol", False):

@@ -142,7 +142,7 @@ def _in_world_space(scene: Any) -> list[tuple[str, Any]]:
 
 
 def _by_unique_name(geometries: list[tuple[str, Any]]) -> dict[str, Any]:
-    # trimesh appends its material to the name of an OBJ's object, which tells apart the parts of an object.
+    # trimesh appends the material to the name of an OBJ's object, to distinguish the parts of the object.
     materials = [str(getattr(getattr(geometry.visual, "material", None), "name", None)) for _, geometry in geometries]
     shorter = [name.removesuffix(f"_{material}") for (name, _), material in zip(geometries, materials, strict=True)]
     named: dict[str, Any] = {}
@@ -157,7 +157,7 @@ def _by_unique_name(geometries: list[tuple[str, Any]]) -> dict[str, Any]:
 
 
 class NamedFiles(trimesh.resolvers.Resolver):
-    """The files that a mesh file names: read from its folder if that is allowed, and listed if they were not read."""
+    """The files that a mesh file names: read from its folder if `opens_files`, and otherwise listed in `unread`."""
 
     def __init__(self, folder: pathlib.Path, *, opens_files: bool) -> None:
         self._folder, self._opens_files = folder, opens_files
