@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -211,29 +212,39 @@ def test_several_starts_find_a_disk_that_one_start_misses() -> None:
     assert raced.agreeing is not None
 
 
-@pytest.mark.parametrize("stop", [7, 40, 90])
-def test_stages_and_searches_are_resumed_to_the_bit(stop: int, tmp_path: Path) -> None:
+@pytest.fixture(scope="module")
+def whole() -> tuple[Callable[..., Any], Any]:
+    """Return a function that fits in stages, and the result of it when nothing interrupts."""
     renderer, goal, free = scene(8)
-    objective, file = LOIObjective(target_of(renderer, goal)), tmp_path / "state.npz"
+    objective = LOIObjective(target_of(renderer, goal))
+
+    def go(**options: Any) -> Any:
+        return fit(renderer, objective, steps=100, optimise={"translation": free}, **options)
+
+    return go, go()
+
+
+@pytest.mark.parametrize("stop", [7, 40, 90])
+def test_stages_and_searches_are_resumed_to_the_bit(
+    stop: int, whole: tuple[Callable[..., Any], Any], tmp_path: Path
+) -> None:
+    go, uninterrupted = whole
+    file = tmp_path / "state.npz"
 
     def interrupt(step: FitStep, params: Any, image: Any) -> None:
         if step.step == stop:
             raise KeyboardInterrupt
 
-    def go(**options: Any) -> Any:
-        return fit(renderer, objective, steps=100, optimise={"translation": free}, **options)
-
-    whole = go()
     with pytest.raises(FitInterruptedError):
         go(checkpoint=file, callback=interrupt)
     resumed = go(checkpoint=file, resume=True)
     assert [(entry.stage, entry.value) for entry in resumed.history] == [
-        (entry.stage, entry.value) for entry in whole.history
+        (entry.stage, entry.value) for entry in uninterrupted.history
     ]
-    np.testing.assert_array_equal(resumed.best_params["translation"], whole.best_params["translation"])
+    np.testing.assert_array_equal(resumed.best_params["translation"], uninterrupted.best_params["translation"])
     assert all(
         np.array_equal(first.params["translation"], second.params["translation"])
-        for first, second in zip(resumed.history, whole.history, strict=True)
+        for first, second in zip(resumed.history, uninterrupted.history, strict=True)
     )
 
 
