@@ -204,7 +204,7 @@ OCCLUDED: dict[str, dict[str, Any]] = {
 }
 
 
-@pytest.mark.parametrize("shape_name", OCCLUDED)
+@pytest.mark.parametrize("shape_name", [pytest.param("ball in the floor", marks=thorough), *list(OCCLUDED)[1:]])
 def test_the_radiance_of_occluders_does_not_enter_the_gradient(shape_name: str) -> None:
     """An occluder may end beside an edge, or beside an intersection curve, that it covers."""
     emitting = {"block": OCCLUDED[shape_name] | {"emitter": area_light(0.9, 0.2, 0.1)}}
