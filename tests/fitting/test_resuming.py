@@ -135,6 +135,9 @@ def test_ctrl_c_within_a_step_discards_that_step(tmp_path: Path) -> None:
 
 # The functions that hold the state, and their modules.
 STATEFUL = {"fit", "finished", "step", "advance", "_save", "evaluated", "stepped", "result", "history"}
+# An interrupt before one of these leaves the state that an interrupt before the next instruction leaves. And Python
+# handles no signal between the last value of a function and its return.
+WITHOUT_EFFECT = ("LOAD_", "PUSH_", "KW_NAMES", "PRECALL", "BUILD_", "COPY", "SWAP", "NOP", "RESUME", "RETURN_")
 HOLDERS = {Path(sys.modules[f"loi_core.fitting.{name}"].__file__ or "") for name in ("loop", "descent", "state")}
 
 
@@ -148,8 +151,7 @@ def interrupted_after(count: int) -> Any:
         if code.co_name not in STATEFUL or Path(code.co_filename) not in HOLDERS:
             return None
         frame.f_trace_opcodes = True
-        # Python handles no signal between the last value of a function and its return.
-        if event == "opcode" and dis.opname[code.co_code[frame.f_lasti]] not in {"RETURN_VALUE", "RETURN_CONST"}:
+        if event == "opcode" and not dis.opname[code.co_code[frame.f_lasti]].startswith(WITHOUT_EFFECT):
             remaining -= 1
             if remaining == 0:
                 raise KeyboardInterrupt

@@ -10,6 +10,7 @@ import pytest
 from loi_core import Free, LOIObjective, fit
 from loi_core.renderers import Warp
 from tests.contents import photograph
+from tests.strategies import thorough
 
 SIDE = 40
 BOUND = 9.0
@@ -58,8 +59,8 @@ def position(degrees: float, distance: float) -> Any:
     ("degrees", "distance", "renders"),
     [
         (100.0, 8.0, 180),  # shorter steps suffice
-        (-130.0, 8.0, 180),
-        (60.0, 3.0, 180),
+        pytest.param(-130.0, 8.0, 180, marks=thorough),
+        pytest.param(60.0, 3.0, 180, marks=thorough),
         (170.0, 5.0, 330),  # 100 steps, a race, and units
     ],
 )
@@ -115,7 +116,7 @@ class Arm:
         return image, to_joints
 
 
-@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("seed", [0, 1, *(pytest.param(seed, marks=thorough) for seed in (2, 3))])
 def test_a_short_fit_of_an_arm_15_degrees_off_does_not_jump_away(seed: int) -> None:
     rng = np.random.default_rng(seed)
     arm, goal = Arm(), rng.uniform(-40.0, 40.0, 3)

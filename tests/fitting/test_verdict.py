@@ -11,6 +11,7 @@ from loi_core import FitStep, Free, LOIObjective, PixelL2, ScaleSpace, fit
 from loi_core.errors import OptionError
 from loi_core.renderers import Disks
 from tests.contents import photograph
+from tests.strategies import thorough
 
 HEIGHT, WIDTH = 48, 64
 
@@ -64,14 +65,11 @@ class OnPicture:
         }
 
 
-def test_rates_are_measured_anew_at_the_main_stage() -> None:
+@pytest.mark.parametrize(("steps", "error"), [(200, 2.5), pytest.param(800, 0.1, marks=thorough)])
+def test_rates_are_measured_anew_at_the_main_stage(steps: int, error: float) -> None:
     target = Far().render(Far().parameters())
-    results = [
-        fit(Far(), LOIObjective(target), steps=steps, optimise={"distance": Free(4.0, 2.0, 30.0)})
-        for steps in (200, 800)
-    ]
-    assert abs(float(results[0].best_params["distance"]) - 20.0) < 2.5
-    assert abs(float(results[1].best_params["distance"]) - 20.0) < 0.1
+    result = fit(Far(), LOIObjective(target), steps=steps, optimise={"distance": Free(4.0, 2.0, 30.0)})
+    assert abs(float(result.best_params["distance"]) - 20.0) < error
 
 
 def test_a_difference_that_the_loss_ignores_is_not_called_converged() -> None:

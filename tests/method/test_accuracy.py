@@ -149,16 +149,14 @@ def test_traced_arrays_are_compared_exactly_at_every_accuracy() -> None:
     np.testing.assert_allclose(gradient, exact, rtol=0, atol=2e-3 * np.abs(exact).max())
 
 
-@pytest.mark.parametrize(("accuracy", "tolerance"), [("balanced", 1e-2), ("fast", 5e-2)])
-def test_the_error_of_truncated_kernels_on_a_large_image_is_within_the_tolerance(
-    accuracy: str, tolerance: float
-) -> None:
+def test_the_error_of_truncated_kernels_on_a_large_image_is_within_the_tolerance() -> None:
     # 121 taps truncate an extent of 45 pixels at 1.3 standard deviations; small images are sampled finely anyway.
     image, reference = CONTENTS["shifted"]((1024, 1024, 1), np.random.default_rng(0))
     scales = ScaleSpace.released((1, 5), (15, 45), 8, 121)
     exact = LOIObjective(reference, scales).value_and_grad(image)[1]
-    gradient = LOIObjective(reference, scales, accuracy).value_and_grad(image)[1]
-    assert relative_error(gradient, exact) <= tolerance
+    for accuracy, tolerance in (("balanced", 1e-2), ("fast", 5e-2)):
+        gradient = LOIObjective(reference, scales, accuracy).value_and_grad(image)[1]
+        assert relative_error(gradient, exact) <= tolerance
 
 
 @given(st.floats(2.0, 50.0), st.floats(0.1, 0.8))

@@ -100,7 +100,7 @@ def prepare(size):
 prepare(50)
 hung = 0
 for number in range(6):
-    thread = threading.Thread(target=lambda: [prepare(60 + step) for step in range(30)])
+    thread = threading.Thread(target=lambda: [prepare(60 + step) for step in range(12)])
     thread.start()
     time.sleep(0.004 * number)
     child = os.fork()

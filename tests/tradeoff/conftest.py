@@ -4,13 +4,15 @@ from __future__ import annotations
 
 from importlib.metadata import EntryPoint
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
 from loi_core.plugins import registry
+from loi_core.tradeoff import Row, rows, run
 from tests.frameworks import load
-from tests.helpers import images
+from tests.helpers import Host, images
 from tests.tradeoff.command import NUMPY, Plugins
 
 
@@ -29,6 +31,16 @@ def plugins(monkeypatch: pytest.MonkeyPatch) -> Plugins:
 def without_numba(monkeypatch: pytest.MonkeyPatch) -> None:
     """Compare without Numba, whose import in the process of each row takes longer than the measurement."""
     monkeypatch.setenv("LOI_COMPILED", "0")
+
+
+@pytest.fixture
+def in_this_process(monkeypatch: pytest.MonkeyPatch, without_numba: None) -> None:
+    """Measure every row in this process, without Numba: to start a process takes longer than to measure."""
+
+    def measure_setting(factory: str, *arguments: Any) -> tuple[Row, Host]:
+        return rows._measure(EntryPoint("", factory, "").load()(), *arguments)
+
+    monkeypatch.setattr(run, "measure_setting", measure_setting)
 
 
 @pytest.fixture

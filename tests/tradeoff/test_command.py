@@ -36,7 +36,7 @@ ANSWER = {
 
 
 def test_two_images_are_measured_end_to_end(
-    plugins: Plugins, pair: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    plugins: Plugins, without_numba: None, pair: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     result = tradeoff(tmp_path / "out", capsys, *pair)
     assert set(result) == ANSWER
@@ -63,7 +63,7 @@ def test_two_images_are_measured_end_to_end(
 
 
 def test_the_page_of_a_tradeoff_contains_its_images_chart_and_tables(
-    plugins: Plugins, without_numba: None, pair: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    plugins: Plugins, in_this_process: None, pair: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert main(["tradeoff", "--seconds", "1e-3", "--output", str(tmp_path / "out"), *pair]) == 0
     printed = capsys.readouterr().out
@@ -156,7 +156,7 @@ def test_a_busy_machine_is_reported(
 
 
 def test_large_errors_of_float32_on_flat_images_are_explained(
-    plugins: Plugins, without_numba: None, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    plugins: Plugins, in_this_process: None, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     plugins(NUMPY)
     for column, name in ((4, "left"), (36, "right")):

@@ -112,7 +112,7 @@ def test_the_tone_curve_of_a_scene_is_applied_between_loss_and_renderer(
 
 
 def test_the_noise_of_a_stochastic_scene_determines_the_recommendation(
-    plugins: Plugins, without_numba: None, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    plugins: Plugins, in_this_process: None, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     result = tradeoff(tmp_path / "out", capsys, "--scene", str(grain_scene(tmp_path, plugins)))
     assert result["stochastic"] is True
