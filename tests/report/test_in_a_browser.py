@@ -220,7 +220,7 @@ def test_the_page_of_a_watched_fit_reloads_itself_until_it_is_the_report(
     codes, log = [], tmp_path / "log.txt"
     copy = scene.parent / "watched.toml"
     copy.write_text(scene.read_text().replace('"result"', '"watched"').replace('["pixel_l2"]', "[]"))
-    arguments = ["fit", str(copy), "--steps", "1000", "--watch", "--json"]
+    arguments = ["fit", str(copy), "--steps", "1500", "--watch", "--json"]
     with pytest.MonkeyPatch.context() as patch, log.open("w") as stream:
         patch.setattr("sys.stderr", stream)
         fit = threading.Thread(target=lambda: codes.append(main(arguments)), daemon=True)

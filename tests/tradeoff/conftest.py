@@ -5,14 +5,15 @@ from __future__ import annotations
 from importlib.metadata import EntryPoint
 from pathlib import Path
 from typing import Any
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
 
 from loi_core.plugins import registry
-from loi_core.tradeoff import Row, rows, run
+from loi_core.tradeoff import rows, run
 from tests.frameworks import load
-from tests.helpers import Host, images
+from tests.helpers import images
 from tests.tradeoff.command import NUMPY, Plugins
 
 
@@ -37,8 +38,10 @@ def without_numba(monkeypatch: pytest.MonkeyPatch) -> None:
 def in_this_process(monkeypatch: pytest.MonkeyPatch, without_numba: None) -> None:
     """Measure every row in this process, without Numba: to start a process takes longer than to measure."""
 
-    def measure_setting(factory: str, *arguments: Any) -> tuple[Row, Host]:
-        return rows._measure(EntryPoint("", factory, "").load()(), *arguments)
+    def measure_setting(*arguments: Any) -> Any:
+        sender = Mock()
+        rows._work(sender, *arguments)
+        return sender.send.call_args.args[0]
 
     monkeypatch.setattr(run, "measure_setting", measure_setting)
 

@@ -97,7 +97,7 @@ def test_a_backend_is_loaded_by_name(plugins: Plugins) -> None:
 
 def test_a_broken_backend_is_reported_and_the_others_are_measured(
     plugins: Plugins,
-    without_numba: None,
+    in_this_process: None,
     pair: list[str],
     tmp_path: Path,
     capsys: pytest.CaptureFixture[str],
