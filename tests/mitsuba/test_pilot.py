@@ -250,6 +250,7 @@ def test_a_plan_changes_neither_images_nor_gradients_of_a_renderer() -> None:
         np.testing.assert_allclose(again[name], value, rtol=1e-3)
 
 
+@thorough
 def test_a_fit_plans_its_renderer() -> None:
     case = CASES["emitter colour"]
     renderer = PlannedRenderer(case.scene(24, 18), case.parameters, spp=4)

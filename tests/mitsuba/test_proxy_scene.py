@@ -258,7 +258,7 @@ def test_files_and_loaded_scenes_have_proxies_too(tmp_path: Path) -> None:
     for scene in (path, loaded, lit_scene()):
         planned = PlannedRenderer(scene, AXES, spp=128)
         assert len(planned.plan.substitutions) == 1
-        gradients.append(np.mean([planned.unabridged.vjp(ORIGIN, RAMP, seed=k)["x"] for k in range(3)]))
+        gradients.append(np.mean([planned.unabridged.vjp(ORIGIN, RAMP, seed=k)["x"] for k in range(2)]))
     assert gradients[0] == pytest.approx(gradients[1], rel=0.15)
     assert np.sign(gradients[0]) == np.sign(gradients[2])
     assert [shape.id() for shape in loaded.shapes()] == ids

@@ -40,7 +40,11 @@ def endless_scene(folder: Path) -> Path:
 @forks
 @pytest.mark.parametrize(
     ("scene", "kills"),
-    [("disks", 100 if THOROUGH else 8), ("views", 80 if THOROUGH else 4), pytest.param("torch", 20, marks=thorough)],
+    [
+        ("disks", 100 if THOROUGH else 8),
+        pytest.param("views", 80, marks=thorough),
+        pytest.param("torch", 20, marks=thorough),
+    ],
 )
 def test_a_killed_and_resumed_fit_leaves_the_files_of_an_uninterrupted_one(
     scene: str, kills: int, tmp_path: Path
