@@ -21,7 +21,7 @@ from tests.mitsuba.scenes import HEIGHT, WIDTH, shadow_scene
 from tests.strategies import thorough
 
 MOVES: dict[str, Any] = {name: Translate("block", axis) for name, axis in zip("xyz", np.eye(3).tolist(), strict=True)}
-SEEDS = 4
+SEEDS = 8
 INNER_PROBES_PX = ((24, 20), (24, 28))  # row and column: shared edges, and the crease between the bars
 OUTER_PROBES_PX = ((16, 20), (32, 20))  # silhouette and shadow, whose edges the bars share in part
 TRANSFORM = mi.ScalarTransform4f
@@ -75,7 +75,7 @@ def renderer_of(mesh: trimesh.Trimesh, folder: Path, light: str) -> Any:
     block = {"type": "ply", "filename": str(folder / "block.ply"), "face_normals": True, "to_world": pose}
     scene = shadow_scene(integrator={"type": "path", "max_depth": 2}, block=block, lamp=LIGHTS[light])
     del scene["ball"]
-    return PlannedRenderer(scene, MOVES, spp=32, blur=None).unabridged
+    return PlannedRenderer(scene, MOVES, spp=128, blur=None).unabridged
 
 
 def gradients(renderer: Any, weights: list[Host]) -> Host:

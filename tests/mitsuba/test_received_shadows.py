@@ -45,7 +45,7 @@ def test_a_shadowed_moving_ball_has_the_gradient_of_finite_differences(
 ) -> None:
     scene = shadowed_ball(scene_name)
     renderer = MitsubaRenderer(scene, MOVES, spp=64)
-    images = renderer.with_integrator("scene", spp=512)
+    images = renderer.with_integrator("scene", spp=1024)
     row, column = np.mgrid[:HEIGHT, :WIDTH]
     weight = np.exp(-((column - 40.0) ** 2 + (row - 18.0) ** 2) / 60.0).astype(np.float32)[..., None].repeat(3, axis=2)
     expected = []
@@ -58,7 +58,7 @@ def test_a_shadowed_moving_ball_has_the_gradient_of_finite_differences(
     assert np.linalg.norm(gradient - expected) < 0.05 * size + 3.0 * np.linalg.norm(error)
 
     monkeypatch.setattr(ReceivedShadowBoundary, "from_scene", lambda *_: [])
-    without_shadows, _ = mean_gradient(MitsubaRenderer(scene, MOVES, spp=64), weight, 6)
+    without_shadows, _ = mean_gradient(MitsubaRenderer(scene, MOVES, spp=64), weight, 8)
     assert np.linalg.norm(without_shadows - expected) > 0.1 * size
 
 
@@ -74,8 +74,8 @@ def test_the_gradient_of_received_shadows_does_not_depend_on_the_resolution() ->
         shadows = SHADOWS | {"sppi": 4096 // factor**2}
         renderer = MitsubaRenderer(scene, {"y": Translate("ball", (0, 1, 0))}, integrator=shadows)
         weight = np.full((height, width, 3), 1.0 / (width * height), np.float32)
-        draws = [float(renderer.vjp({"y": np.float32(0.0)}, weight, seed=seed)["y"]) for seed in range(8)]
-        estimates.append((np.mean(draws), np.std(draws, ddof=1) / np.sqrt(8.0)))
+        draws = [float(renderer.vjp({"y": np.float32(0.0)}, weight, seed=seed)["y"]) for seed in range(16)]
+        estimates.append((np.mean(draws), np.std(draws, ddof=1) / 4.0))
     (coarse, coarse_error), (fine, fine_error) = estimates
     assert fine_error < 0.1 * abs(fine)
     assert abs(coarse - fine) < 3.0 * np.hypot(coarse_error, fine_error)
@@ -99,9 +99,7 @@ def test_a_convex_shape_receives_no_shadow_from_itself(is_box: bool, monkeypatch
         np.testing.assert_allclose(gradient[name], value, rtol=1e-5)
 
 
-@pytest.mark.parametrize(
-    ("integrator", "seeds"), [(None, 12), pytest.param(SHADOWS, 6, marks=thorough)], ids=["all terms", "shadows"]
-)
+@pytest.mark.parametrize(("integrator", "seeds"), [(None, 12), (SHADOWS, 6)], ids=["all terms", "shadows"])
 def test_no_sample_of_a_spherical_light_dominates_the_gradient(integrator: dict[str, Any] | None, seeds: int) -> None:
     """The relative derivative of the solid angle is unbounded at grazing angles."""
     lamp = {"type": "sphere", "center": [1.5, 6.0, 1.0], "radius": 0.7, "emitter": {"type": "area", "radiance": 60.0}}

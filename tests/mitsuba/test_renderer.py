@@ -176,13 +176,12 @@ def test_gradients_of_colours_agree_with_finite_differences(integrator: Any) -> 
         assert float(np.sum(gradient[name])) == pytest.approx(difference, rel=1e-2)
 
 
-@thorough
 @pytest.mark.parametrize(
     ("target", "step"),
     [
         (Translate("ball", (1, 0, 0)), 0.1),
-        (Translate("box", (2, 0, 0)), 0.1),
-        (Rotate("box", (0, 1, 0), (-2, 5, 0)), 4.0),
+        pytest.param(Translate("box", (2, 0, 0)), 0.1, marks=thorough),
+        pytest.param(Rotate("box", (0, 1, 0), (-2, 5, 0)), 4.0, marks=thorough),
     ],
     ids=["ball", "box", "turn"],
 )
@@ -220,7 +219,7 @@ def test_a_fit_moves_a_shadow_to_a_target_without_overlap() -> None:
     assert shadow.any()
     assert target_shadow.any()
     assert not np.any(shadow & target_shadow)
-    result = fit(renderer, LOIObjective(target), steps=50, learning_rate=0.08, optimise=start)
+    result = fit(renderer, LOIObjective(target), steps=100, learning_rate=0.08, optimise=start)
     for name, value in goal.items():
         assert float(result.params[name]) == pytest.approx(float(value), abs=0.05)  # half a pixel on the floor
 
@@ -464,7 +463,7 @@ def test_edges_have_the_gradient_of_finite_differences_with_a_sampled_border(rfi
     """The image is so small that its border has up to a third of the pixels."""
     scene = shadow_scene(integrator={"type": "direct"})
     scene["sensor"]["film"] |= {"width": 32, "height": 24, "rfilter": {"type": rfilter}, "sample_border": True}
-    renderer = MitsubaRenderer(scene, {"place": Translate("ball")}, spp=128)
+    renderer = MitsubaRenderer(scene, {"place": Translate("ball")}, spp=256)
     params = {"place": np.array([0.3, height, 0.2], np.float32)}
     ramp = np.linspace(-1.0, 1.0, 32, dtype=np.float32)[None, :, None] * np.ones((24, 32, 3), np.float32)
     gradients = [float(renderer.vjp(params, ramp, seed=seed)["place"][0]) for seed in range(6)]

@@ -101,9 +101,9 @@ def test_a_moving_texture_has_the_gradient_of_finite_differences(texture_name: s
     (reason,) = planned.plan.substitutions.values()
     assert "an interpolated bitmap" in reason
     start = planned.parameters()
-    gradients = [planned.unabridged.vjp(start, bump(), seed=seed) for seed in range(4)]
+    gradients = [planned.unabridged.vjp(start, bump(), seed=seed) for seed in range(8)]
     draws = np.array([[float(gradient[name]) for name in MOVES] for gradient in gradients])
-    images, differences = planned.unabridged.with_integrator("scene", spp=64), []
+    images, differences = planned.unabridged.with_integrator("scene", spp=256), []
     for seed in range(4):
         pairs = (
             [images.render(start | {name: start[name] + np.float32(sign * step)}, seed=seed) for sign in (1.0, -1.0)]
@@ -112,7 +112,7 @@ def test_a_moving_texture_has_the_gradient_of_finite_differences(texture_name: s
         changes = np.array([np.sum((forward - backward).astype(np.float64) * bump()) for forward, backward in pairs])
         differences.append(changes / (2.0 * np.array(list(STEPS.values()))))
     expected = np.mean(differences, axis=0)
-    error = np.hypot(np.std(draws, axis=0, ddof=1) / 2.0, np.std(differences, axis=0, ddof=1) / 2.0)
+    error = np.hypot(np.std(draws, axis=0, ddof=1) / np.sqrt(8.0), np.std(differences, axis=0, ddof=1) / 2.0)
     assert np.all(np.abs(expected) > 8.0 * error)
     np.testing.assert_array_less(np.abs(np.mean(draws, axis=0) - expected), 0.1 * np.abs(expected) + 4.0 * error)
 

@@ -39,6 +39,6 @@ def test_two_sensors_recover_the_depth_of_a_ball_with_one_render_per_step() -> N
     }
     scales = ScaleSpace.for_image(36, 48, beta=0.25)
     objectives = {name: LOIObjective(view.render({"place": GOAL}, seed=100), scales) for name, view in views.items()}
-    free = {"place": Free([0.0, 0.1, 0.0], -1.5, 1.5)}
-    result = fit(views, objectives, steps=50, learning_rate=0.1, optimise=free, views_per_step=1)
+    free = {"place": Free([-1.0, 0.8, -0.9], -1.5, 1.5)}
+    result = fit(views, objectives, steps=100, learning_rate=0.1, optimise=free, views_per_step=1)
     np.testing.assert_allclose(result.best_params["place"], GOAL, atol=0.06)  # half a pixel

@@ -42,7 +42,7 @@ def endless_scene(folder: Path) -> Path:
     ("scene", "kills"),
     [
         ("disks", 100 if THOROUGH else 8),
-        pytest.param("views", 80, marks=thorough),
+        ("views", 80 if THOROUGH else 3),
         pytest.param("torch", 20, marks=thorough),
     ],
 )
