@@ -28,8 +28,6 @@ noise = np.random.default_rng(7).normal(0.0, 0.04, wall.shape)
 photograph = renderer.render({name: np.asarray(value) for name, value in truth.items()}) + noise
 
 # %%
-# From one start the fit would end at a bound, where its verdict advises ``starts=8``: eight points within the bounds.
-
 free = {
     "translation": Free([-30.0, 14.0], [-45.0, -30.0], [45.0, 30.0]),
     "rotation": Free(0.0, -90.0, 90.0),
@@ -37,8 +35,7 @@ free = {
     "exposure": Free(0.0, -2.0, 2.0),
 }
 film = Film(photograph)
-film.keep(renderer.render(renderer.parameters() | {name: np.asarray(value.initial) for name, value in free.items()}))
-result = fit(renderer, LOIObjective(photograph), steps=150, optimise=free, starts=8, callback=film)
+result = fit(renderer, LOIObjective(photograph), steps=150, optimise=free, callback=film)
 print(result.diagnosis)
 
 # %%

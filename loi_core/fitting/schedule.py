@@ -40,6 +40,9 @@ MIN_SIGNIFICANCE: Final = 2.0
 MIN_FALL: Final = 1e-3
 """Fraction of the value by which a loss must fall over the window."""
 
+MIN_REMAINING_FALL: Final = 0.1
+"""The same over all steps that remain, where a search can follow: a slower fall would not end near the target."""
+
 STUCK_FRACTION: Final = 0.3
 """Fraction of its highest value at which the first stage is stuck if it settles there.
 
@@ -56,7 +59,7 @@ MAX_RESTART_PROGRESS: Final = 0.5
 """Progress of the main stage beyond which no time is left for a restart, unless a stage follows."""
 
 
-def has_settled(values: Sequence[float], window: int) -> bool:
+def has_settled(values: Sequence[float], window: int, min_fall: float = MIN_FALL) -> bool:
     """Return whether values have stopped falling: the line through the last of them has no significant negative slope.
 
     Parameters
@@ -65,6 +68,8 @@ def has_settled(values: Sequence[float], window: int) -> bool:
         One for each step.
     window : int
         Number of values to fit, 3 or more; at least twice as many are required.
+    min_fall : float
+        Fraction of the value by which a loss that has not settled falls over the window.
     """
     if len(values) < 2 * window:
         return False
@@ -74,7 +79,7 @@ def has_settled(values: Sequence[float], window: int) -> bool:
     slope = float(steps @ last) / variance
     residual = last - np.mean(last) - slope * steps
     error = math.sqrt(float(np.sum(residual**2)) / (window - 2) / variance)
-    return slope > -MIN_SIGNIFICANCE * error or -slope * window < MIN_FALL * abs(float(np.mean(last)))
+    return slope > -MIN_SIGNIFICANCE * error or -slope * window < min_fall * abs(float(np.mean(last)))
 
 
 @dataclass(frozen=True)
@@ -125,7 +130,9 @@ class Schedule:
         values = (*self.values[1 - 2 * window :], value)
         taken = replace(self, step=self.step + 1, values=values, highest_value=max(self.highest_value, value))
         is_last = self.stage == self.stages - 1
-        settled = (not is_last or self.restarts > 0) and (value == 0.0 or has_settled(values, window))
+        remaining_windows = max(self.steps - taken.step, 1) / window
+        min_fall = max(MIN_REMAINING_FALL / remaining_windows, MIN_FALL) if self.restarts > 0 else MIN_FALL
+        settled = (not is_last or self.restarts > 0) and (value == 0.0 or has_settled(values, window, min_fall))
         ends = settled or taken._is_over
         # A main stage that runs out of steps leaves the rest of the way to the finish.
         stuck = ends and self.restarts > 0 and taken._is_high() and (settled or self.stage < self._main)

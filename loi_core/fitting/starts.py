@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
 from typing import Final, Protocol, TypeAlias
@@ -48,6 +48,7 @@ NEAR_FRACTION: Final = 0.05  # of the loss at earlier parameters of the fit: a d
 LEAD_FRACTION: Final = 0.9  # of the loss of the descent from the current parameters, which another racer must reach
 GAIN_FRACTION: Final = 0.7  # of the loss at the current parameters, which the descent from them must reach
 LOW_FRACTION: Final = 0.25  # of the least loss of all draws: a descent that gains below it needs no race
+MAX_COVERED_NUMBERS: Final = 3  # in more dimensions hardly a draw has all numbers near the target
 MAX_SEARCH_NUMBERS: Final = 8  # in more dimensions so few draws cover next to nothing
 
 
@@ -201,7 +202,10 @@ def race(
             return racer.reached
         ran.append(racer.reached)
     current = min(ran, key=lambda reached: reached.value)
-    drawn = sorted(_evaluated(evaluate, _draws(params, bounds, size.draws, 0)), key=_loss)[: size.racers]
+    points: Iterable[Parameters] = _draws(params, bounds, size.draws, 0)
+    if free_numbers(bounds) > MAX_COVERED_NUMBERS:
+        points = _mixed(points, params, list(bounds.lower))
+    drawn = sorted(_evaluated(evaluate, points), key=_loss)[: size.racers]
     gained = current if current.value < GAIN_FRACTION * first else None
     if gained is not None and drawn and current.value < LOW_FRACTION * drawn[0][0]:
         return gained
@@ -265,6 +269,14 @@ def _local_draws(params: Parameters, bounds: Bounds, attempt: int) -> Iterator[P
             yield params | {name: anywhere[name]}
         else:
             yield near_by if index % 2 else anywhere
+
+
+def _mixed(points: Iterable[Parameters], params: Parameters, names: Sequence[str]) -> Iterator[Parameters]:
+    """Yield every other point as it is, and the others with some parameters, in turn, that stay: they may be right."""
+    subsets = 2 ** len(names) - 2
+    for index, point in enumerate(points):
+        subset = 1 + index // 2 % subsets if index % 2 and subsets else 0
+        yield point | {name: params[name] for number, name in enumerate(names) if subset >> number & 1}
 
 
 def _box_around(params: Parameters, bounds: Bounds) -> Bounds:

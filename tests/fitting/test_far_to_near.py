@@ -15,7 +15,7 @@ from loi_core import FarToNear, Free, LOIObjective, PixelL2, ScaleSpace, fit
 from loi_core.errors import OptionError, ParameterError
 from loi_core.fitting.loop import FitInterruptedError, FitStep
 from loi_core.fitting.parameters import bounds_of
-from loi_core.fitting.schedule import has_settled
+from loi_core.fitting.schedule import Schedule, has_settled
 from loi_core.fitting.starts import draw_starts
 from loi_core.renderers import Disks, Warp
 from loi_core.renderers.units import measure_units
@@ -72,6 +72,14 @@ def test_noise_around_a_level_has_settled_and_a_steady_fall_has_not(size: float,
     # A line through noise alone exceeds two errors of its slope one time in thirty, so not five times in a row.
     level = [size * (1.0 + noise * rng.standard_normal()) for _ in range(120)]
     assert any(has_settled(level[: 40 + 20 * index], 12) for index in range(5))
+
+
+@pytest.mark.parametrize(("fall", "is_stuck"), [(0.05, True), (0.5, False)])
+def test_a_stage_whose_fall_would_leave_most_of_its_loss_at_the_end_is_stuck(fall: float, is_stuck: bool) -> None:
+    schedule = Schedule(stages=1, steps=200, restarts=1, noise_floor=0.0)
+    for step in range(60):
+        schedule = schedule.after(1.0 - fall * step / 200)
+    assert schedule.stuck is is_stuck
 
 
 def test_a_schedule_leaves_time_for_the_last_stage_for_any_values() -> None:

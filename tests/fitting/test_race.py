@@ -70,6 +70,26 @@ def test_a_descent_that_nearly_reaches_zero_ends_the_race_before_any_point_is_dr
     assert values == 1
 
 
+def test_every_other_point_of_a_race_keeps_some_of_the_parameters() -> None:
+    current: Params = {"place": np.asarray([0.5, 0.5]), "turn": np.asarray(0.5), "gain": np.asarray(0.5)}
+    bounds = Bounds(*({name: np.full_like(value, limit) for name, value in current.items()} for limit in (-1.0, 2.0)))
+    kept = []
+
+    def evaluate(params: Params) -> float:
+        kept.append(frozenset(name for name in current if np.array_equal(params[name], current[name])))
+        return 1.0
+
+    def descend(params: Params, /, *, fast: bool) -> Iterator[Reached]:
+        while True:
+            yield Reached(1.0, params)
+
+    race(evaluate, descend, current, bounds, RaceSize(12, 1))
+    assert kept[0] == frozenset(current)  # the current parameters themselves
+    assert set(kept[1::2]) == {frozenset()}
+    assert len(set(kept[2::2])) == 6
+    assert {len(names) for names in kept[2::2]} == {1, 2}
+
+
 def test_half_of_the_racers_drop_out_after_each_round() -> None:
     rounds = 0
 
