@@ -130,8 +130,9 @@ class Schedule:
         values = (*self.values[1 - 2 * window :], value)
         taken = replace(self, step=self.step + 1, values=values, highest_value=max(self.highest_value, value))
         is_last = self.stage == self.stages - 1
-        remaining_windows = max(self.steps - taken.step, 1) / window
-        min_fall = max(MIN_REMAINING_FALL / remaining_windows, MIN_FALL) if self.restarts > 0 else MIN_FALL
+        min_fall = MIN_FALL
+        if self.restarts > 0:
+            min_fall = max(MIN_FALL, MIN_REMAINING_FALL * window / max(self.steps - taken.step, 1))
         settled = (not is_last or self.restarts > 0) and (value == 0.0 or has_settled(values, window, min_fall))
         ends = settled or taken._is_over
         # A main stage that runs out of steps leaves the rest of the way to the finish.

@@ -38,9 +38,8 @@ def combined_transform(handles: Sequence[tuple[PoseParameter, Any]], centre: tup
             continue
         pivot = mi.Vector3f(*(centre if handle.pivot is None else handle.pivot))
         if isinstance(handle, Rotate):
-            local = mi.Transform4f().rotate(
-                mi.Vector3f(*(handle.axis or ())), value
-            )  # checked_targets requires an axis
+            axis = handle.axis or ()  # never empty: checked_targets requires an axis
+            local = mi.Transform4f().rotate(mi.Vector3f(*axis), value)
         else:
             local = mi.Transform4f().scale(mi.Vector3f(value))
         total = mi.Transform4f().translate(pivot) @ local @ mi.Transform4f().translate(-pivot) @ total
